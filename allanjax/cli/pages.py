@@ -15,7 +15,8 @@ if TYPE_CHECKING:
 
 def write_page(file: Input, folder: Path, *shown: Any) -> Path:
     """Write the page NAME.html of a file, given the fields of `Reported` but its origin."""
-    from allanjax.presentation.page.report import Reported, page_about
+    from allanjax.presentation.page.report import page_about
+    from allanjax.presentation.page.sections import Reported
 
     return page_about([Reported(*shown)._replace(origin=origin(file))]).save(folder / f"{file.name}.html")
 
@@ -33,7 +34,7 @@ def origin(file: Input) -> dict[str, str]:
 def fleet_page(result: "FleetResult", out: Path) -> list[Path]:
     """Write the page of a fleet, and of each unit with a result that has none yet."""
     from allanjax.estimate.as_json import load
-    from allanjax.presentation.page.report import Reported, page_about, report
+    from allanjax.presentation.page.report import report
 
     folder, pages = out / "recordings", dict[str, str]()
     names = result.table["recording"].unique()
@@ -43,9 +44,7 @@ def fleet_page(result: "FleetResult", out: Path) -> list[Path]:
             if own.is_file() and not (made.is_file() and made.stat().st_mtime >= own.stat().st_mtime):
                 show(f"fleet: {k} of {len(names)} pages written")
                 fits = load(own)
-                page_about(
-                    [Reported(fit) for fit in (fits.values() if isinstance(fits, dict) else [fits])]
-                ).save(made)
+                report([*fits.values()] if isinstance(fits, dict) else fits, made)
             if made.is_file():
                 pages[name] = f"recordings/{quote(made.name)}"
         report(result, out / "fleet.html", pages=pages)

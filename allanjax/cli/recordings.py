@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from allanjax.critic.result import Critique
     from allanjax.estimate.check import Check
     from allanjax.estimate.result import Fit
-    from allanjax.presentation.page.report import Reported
+    from allanjax.presentation.page.sections import Reported
     from allanjax.record.recording import Recording
     from allanjax.spectrum.psd import PowerSpectrum
 
@@ -163,7 +163,7 @@ def characterize(
             with stage(f"{file.label}: writing results"):
                 paths = write_results(fit, spectrum, directory, file.name, check, format, judged)
                 if html:
-                    shown = (fit, None, recording, spectrum, check)
+                    shown = (fit, None, recording, spectrum, check, judged)
                     paths += (write_page(file, directory, *shown),)
         first = [] if check is None else [f"check: {check.summary()}"]
         last = [] if judged is None else [str(judged)]
@@ -329,48 +329,73 @@ def report(
     *files: Recordings,
     how: Fitting = Fitting(),
     out: Written = Path("report.html"),
+    title: str | None = None,
+    note: tuple[str, ...] = (),
+    spec: Path | None = None,
     quick: bool = False,
 ) -> None:
     """Write one page of HTML about static recordings or saved results.
 
-    The page shows the verdict, coefficients with intervals, interactive curves,
-    what a simulation of the sensor gets wrong, predicted drift and exports. It
-    needs no network, and prints to PDF.
+    The page shows what was found, coefficients with intervals, interactive
+    curves, whether limits are met, what a simulation of the sensor gets wrong,
+    predicted drift, exports, and the method with definitions. It needs no
+    network, and prints on two or three sheets.
 
     For example:
       allanjax report imu.csv --out report.html
       allanjax report imu.csv --quick --out report.html
       allanjax report allanjax-results/imu.json --out report.html
+      allanjax report imu.csv --spec limits.yaml --title 'Acceptance test' \\
+          --note 'serial number=0123' --note 'operator=A. Smith'
 
     Parameters
     ----------
     out
         Page to write.
+    title
+        Heading of the page. Default: the names of the recordings.
+    note
+        Condition of the records to state, NAME=VALUE, e.g. 'serial number=0123'; repeat for more.
+    spec
+        Check the coefficients against the limits in this YAML file (help(allanjax.check_spec)).
+        Exit code 1: a limit is not met; 3: none, but one is undecided.
     quick
         Without the critique, which takes longer than all the rest.
     """
     if out.suffix.lower() not in (".html", ".htm"):
         refuse(f"--out {str(out)!r}: a page is named .html")
+    if wrong := [text for text in note if not all(text.partition("="))]:
+        refuse(f"--note {wrong[0]!r}: give NAME=VALUE, e.g. 'serial number=0123'")
+    from allanjax.comparison.specification import check_spec, read_spec
+
+    if spec is not None:
+        # A wrong file ends the command before it reads recordings.
+        read_spec(spec)
     prepare(out.parent)
     errors: list[dict[str, str]] = []
     with inputs(files, out.parent) as given:
         done = worked_through(given, lambda file: _reported(file, how.options, quick), errors)
         parts = [part for _, part in done]
+    known = dict(text.split("=", 1) for text in note)
+    judged = [None if spec is None else check_spec(part.fit, spec) for part in parts]
     if parts:
         from allanjax.presentation.page.report import page_about
 
         with stage("writing the page"):
-            page_about(parts).save(out)
+            every = zip(parts, judged, strict=True)
+            shown = [part._replace(limits=limits, conditions=known) for part, limits in every]
+            page_about(shown, title).save(out)
         print_written([out])
     exit_if_failed(errors, len(given))
+    exit_by([limits.verdict for limits in judged if limits is not None])
 
 
 def _reported(file: Input, options: FitOptions, quick: bool) -> "Reported":
     """What is shown of a file: of a result its fit, of a recording everything."""
-    from allanjax.presentation.page.report import Reported
+    from allanjax.presentation.page.sections import Reported
 
     if file.path.suffix == ".json":
         return Reported(saved_fit(file.path), origin=origin(file))
     recording, check, spectrum, fit = read_and_fit(file, options)
     critique = None if quick else _criticize(file, recording, options.vibrating)
-    return Reported(fit, critique, recording, spectrum, check, origin(file))
+    return Reported(fit, critique, recording, spectrum, check, origin=origin(file))

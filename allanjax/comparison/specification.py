@@ -183,6 +183,17 @@ class LimitCheck(ByValue):
         c = self.estimate
         return -c.score(self.limit.value) if c is not None and c.detected else math.nan
 
+    @property
+    def margin(self) -> str:
+        """How far the estimate is below the limit, with its 95 % interval, or at least; "" if unknown."""
+        c, size = self.estimate, self.limit.value
+        most = None if c is None else c.upper_limit
+        if c is None or c.held or (most is None and not c.detected):
+            return ""
+        value, low, high = (percent(1.0 - x / size) for x in (c.value, *c.interval[::-1]))
+        least = "" if most is None else f"≥ {percent(1.0 - most / size)}"
+        return f"{value} ({low.removesuffix(' %')} … {high.removesuffix(' %')})" if c.detected else least
+
     def row(self) -> tuple[str, ...]:
         """The row of the printed table."""
         limit, (low, high) = self.limit, self.probability
@@ -190,7 +201,8 @@ class LimitCheck(ByValue):
         size = significant(limit.value / unit_scale(limit.unit))
         least, most = (percent(round(p, 3), 3) if p >= 0.0 else "" for p in (low, high))
         chances = least if not least or least == most else f"{least} … {most}" if high < 1.0 else f"≥ {least}"
-        cells = shown.removesuffix(f" {limit.unit}"), f"{limit.meaning[:3]} {size}", limit.unit, chances
+        named = f"{limit.meaning[:3]} {size}", limit.unit, self.margin, chances
+        cells = shown.removesuffix(f" {limit.unit}"), *named
         return self.axis, limit.title, *cells, self.verdict
 
     def to_dict(self) -> dict[str, Any]:
@@ -254,13 +266,14 @@ class SpecCheck(ByValue, Tabled):
         return f"{self.verdict}, against {self.sheet}"
 
     def _tables(self) -> list[list[Column]]:
-        heads = ("axis", "figure", "estimate ± 1σ", "limit", "unit", "probability", "verdict")
+        heads = ("axis", "figure", "estimate ± 1σ", "limit", "unit", "margin", "probability", "verdict")
         return [columns_from(heads, [result.row() for result in self.results])]
 
     def _notes(self) -> Iterator[str]:
         yield (
-            "max: maximum, typ: typical; probability: that the true value is below the limit; pass from "
-            f"{percent(MET)} on, fail up to {percent(MISSED)}"
+            "max: maximum, typ: typical; margin: how far the estimate is below the limit (95 % interval); "
+            f"probability: that the true value is below it; pass from {percent(MET)} on, fail up to "
+            f"{percent(MISSED)}"
         )
         told: dict[tuple[str, str], list[str]] = {}
         for r in self.results:
@@ -332,9 +345,9 @@ def _checked(fit: Fit, name: str, limit: Limit) -> LimitCheck:
         seconds = _length(fit, of, limit, c)
         reason = "record longer; how much is unknown for this model"
         if seconds == math.inf:
-            reason = "not even a month would decide if the estimate stays"
+            reason = "not even a month would decide if it gave the same value"
         elif seconds is not None:
-            reason = f"a record of {duration(seconds)} would decide if the estimate stays"
+            reason = f"a record of {duration(seconds)} would decide if it gave the same value"
     return dataclasses.replace(found, seconds=seconds, reason=reason)
 
 

@@ -353,11 +353,27 @@ def with_what_was_seen(found: Fit, seen: Inspection) -> Fit:
         share = sum(f.share or 0.0 for f in widened) / 2.0
         r = r.allowing(share, float(seen.added_noise[k]) / np.sqrt(rate))
         kinds = seen.why_not(r.axis.name)
-        r = r.with_misfits_felt(rate) if r.converged else r
+        r = _with_stated_misfit(r, found).with_misfits_felt(rate) if r.converged else r
         results.append(r.unmeasured(not_measured=kinds) if r.converged and kinds else r)
     return dataclasses.replace(
         found, results=tuple(results), facts=facts, parts=seen.parts, notes=found.notes + seen.notes
     )
+
+
+def _with_stated_misfit(result: AxisFit, found: Fit) -> AxisFit:
+    """The result with the misfit of the Allan deviation that the fit states, if it chose the terms.
+
+    It differs from that of the chosen terms where sets of terms are undecided.
+    """
+    if found.selection is None or result.worst is None or result.regression:
+        return result
+    curve, k = found.curve, found.axes.index(result.axis.name)
+    time = curve.cluster_time
+    ratio = curve.deviation[:, k] / found.model_deviation(result.axis.name, time)
+    misfit = misfit_of(time, ratio, curve.edf[:, k], "s")
+    if result.misfit is not None and result.misfit.unit == "s":
+        return dataclasses.replace(result, misfit=misfit)
+    return dataclasses.replace(result, other_misfit=misfit)
 
 
 def _left(fact: Fact, found: Fit) -> Fact:

@@ -189,10 +189,9 @@ def _around(level: _Levels) -> _Levels:
     """
     import pandas as pd
 
-    def before(logs: _Levels) -> _Levels:
-        beside = pd.Series(logs).shift(_NEAR + 1)
-        return beside.rolling(_FAR - _NEAR, min_periods=1).median().to_numpy()
-
     logs = np.log(np.maximum(level, 1e-300))
-    sides = np.stack([before(logs), before(logs[::-1])[::-1]])
+    # The median of each bin and those before it, the last of which end beyond the spectrum.
+    beyond = np.append(logs, np.full(_FAR, np.nan))
+    median = pd.Series(beyond).rolling(_FAR - _NEAR, min_periods=1).median()
+    sides = np.stack([median.shift(_NEAR + 1)[: len(logs)], median[_FAR:]])
     return np.exp(np.nanmean(sides, axis=0))

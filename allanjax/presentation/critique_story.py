@@ -200,7 +200,7 @@ def factor_off(size: float) -> str:
 MOST = 10
 _HEADINGS = ("#", "what", "axes", "where", "size", "changes", "nats")
 # An empty cell of the table, and the place of what has no other.
-_NONE, _EVERYWHERE = "–", "whole record"
+NONE, _EVERYWHERE = "–", "whole record"
 # Parameters that are the place of an effect, the first that a finding has, and what stands around each.
 _WHERE = {
     **dict.fromkeys(("frequency", "bandwidth", "time"), "{}"),
@@ -226,7 +226,7 @@ def findings_table(critique: Critique, findings: Sequence[Finding]) -> str:
     columns = findings_columns(critique, findings)
     if width_of(columns) > WIDTH:
         columns = findings_columns(critique, findings, brief=True)
-    about = f"nats: log-likelihood gained on held-out data; {_NONE}: not applicable"
+    about = f"nats: log-likelihood gained on held-out data; {NONE}: not applicable"
     if any(len(f.axes) > 1 for f in findings):
         about = f"size: of the most affected axis; {about}"
     return f"{as_text('', [columns])}\n\n{about}"
@@ -237,11 +237,11 @@ def _row(finding: Finding, critique: Critique, brief: bool) -> tuple[str, ...]:
     like = _likeness(finding)
     return (
         f"unexplained ({like[0]}?)" if like else finding.named(finding.cause),
-        "all" if len(finding.axes) == len(critique) > 2 else _names(finding.axes),
+        "all" if len(finding.axes) == len(critique) > 2 else names_of(finding.axes),
         place(finding),
         size(finding),
-        changed(finding, brief) or _NONE,
-        _NONE if finding.gain is None else nats(finding.gain).removesuffix(" nats"),
+        changed(finding, brief) or NONE,
+        NONE if finding.gain is None else nats(finding.gain).removesuffix(" nats"),
     )
 
 
@@ -276,7 +276,7 @@ def size(finding: Finding) -> str:
         return f"r = {_short(r)}"
     e = finding.amplitudes.get(finding.shown)
     # The bandwidth of a filter is its place.
-    return _NONE if e is None or e.label == "bandwidth" else re.sub(r"/\[.*\]", " per unit", _short(e))
+    return NONE if e is None or e.label == "bandwidth" else re.sub(r"/\[.*\]", " per unit", _short(e))
 
 
 def changed(finding: Finding, brief: bool) -> str:
@@ -302,7 +302,7 @@ def _before_and_after(c: CoefficientChange | DriftChange) -> str:
     return f"{before} {c.unit} → none" if after == "none" else f"{before} → {after} {c.unit}"
 
 
-def _names(axes: Iterable[str]) -> str:
+def names_of(axes: Iterable[str]) -> str:
     """Names of axes, those of one sensor together, e.g. "accel_xyz"."""
     words: list[str] = []
     for sensor, group in itertools.groupby(axes, lambda axis: axis.rpartition("_")[0]):
@@ -547,10 +547,10 @@ def changes(finding: Finding, axis: Axis) -> list[str]:
     texts = [
         f"{cause_title(c.label, axis.sensor)} {_before_and_after(c)}"
         for c in finding.coefficients
-        if _notable(c.before, c.after)
+        if notable(c.before, c.after)
     ]
     drift = finding.drift
-    if drift is not None and _notable(drift.before, drift.after):
+    if drift is not None and notable(drift.before, drift.after):
         texts.append(
             f"drift over {duration(drift.horizon)} in simulations {_before_and_after(drift)}, "
             f"in the record {plain(drift.measured, 3)} {drift.unit}"
@@ -558,7 +558,7 @@ def changes(finding: Finding, axis: Axis) -> list[str]:
     return texts
 
 
-def _notable(before: float, after: float) -> bool:
+def notable(before: float, after: float) -> bool:
     """Whether a value changed; that of a term which is in neither model did not."""
     known = np.isfinite([before, after])
     if not known.all():

@@ -63,8 +63,8 @@ def to_junit(spec: SpecCheck) -> str:
     for result in spec.results:
         name = f"{result.limit.title} ({result.limit.meaning})"
         case = ElementTree.SubElement(suite, "testcase", {"classname": result.axis, "name": name})
-        _, _, value, limit, unit, chance, verdict = result.row()
-        text = f"estimate {value}, limit {limit} {unit}, probability to meet it {chance}"
+        value, limit, unit, margin, chance, verdict = result.row()[2:]
+        text = f"estimate {value}, limit {limit} {unit}, margin {margin}, probability to meet it {chance}"
         if verdict in ("fail", "undecided"):
             kind = "failure" if verdict == "fail" else "skipped"
             ElementTree.SubElement(case, kind, {"message": result.reason or text})

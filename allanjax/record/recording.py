@@ -52,6 +52,7 @@ class Recording(ByValue):
             Allan deviations and noise coefficients use all segments, everything else uses `values`.
         gaps: where samples of the record are missing, either filled in or between segments; None if that is
             unknown without time stamps.
+        begun: UNIX time of the first sample [s]; None if the time stamps do not tell it.
     """
 
     values: Float[np.ndarray, "samples axes"]
@@ -67,6 +68,7 @@ class Recording(ByValue):
     missing: Bool[np.ndarray, "samples axes"] | None = None
     others: tuple[Float[np.ndarray, "_ axes"], ...] = ()
     gaps: tuple[Gap, ...] | None = None
+    begun: float | None = None
 
     @classmethod
     def from_array(

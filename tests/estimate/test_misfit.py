@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 from dense_fits import recording
 from scipy.fft import dct, idct
+from scipy.signal import lfilter
 from scipy.stats import chi2
 
 import allanjax as aj
@@ -88,6 +89,24 @@ def test_the_misfit_of_an_allan_deviation_is_that_of_a_search_through_all_places
     assert (misfit.at, misfit.unit) == (pytest.approx(at), "s")
     np.testing.assert_allclose(numbers_of(misfit), numbers, rtol=1e-6, atol=1e-9)
     assert misfit.excessive == (misfit.rms > 0.3 or misfit.sustained > 0.5)
+
+
+def test_where_terms_are_undecided_the_misfit_is_that_of_their_average():
+    """White noise, a slow process and an oscillation of 6 s that no noise term describes."""
+    rng, n = np.random.default_rng(3), 60_000
+    slow = lfilter([1.0], [1.0, 1.0 / 400.0 - 1.0], rng.standard_normal(n)) * 1e-5
+    slow[n // 2 :] *= 4.0
+    line = 4e-4 * np.sin(2.0 * np.pi * np.arange(n) / (6.0 * RATE))
+    fit = aj.fit(recording(WHITE * rng.standard_normal(n) + slow + line, RATE), plain=True, as_is=True)
+    curve, result = fit.curve, fit["gyro_0"]
+    assert len(fit.selection["gyro_0"].indistinguishable) > 1
+    drawn, chosen = fit.model_deviation("gyro_0", curve.cluster_time), result.model.sampled(RATE)
+    assert np.ptp(np.log(drawn**2 / np.asarray(chosen.allan_variance(curve.cluster_time)))) > 0.02
+    ratio = curve.deviation[:, 0] / drawn
+    at, *numbers = by_definition(curve.cluster_time, ratio, curve.edf[:, 0], "s")
+    (misfit,) = (m for m in (result.misfit, result.other_misfit) if m.unit == "s")
+    assert misfit.at == pytest.approx(at)
+    np.testing.assert_allclose(numbers_of(misfit), numbers, rtol=1e-6, atol=1e-9)
 
 
 @pytest.mark.parametrize("axis", ["gyro_1", "gyro_4"])

@@ -1,5 +1,6 @@
 """Pages in a real browser: what is read off them, what is switched, hostile names, and what they ask for."""
 
+import dataclasses
 import hashlib
 import json
 import math
@@ -112,15 +113,18 @@ def test_toggles_views_and_units_change_the_curves_they_name(chromium, shown):
         assert read(readout, "gyro_y") == before
         plot.press("model")
         assert "model" not in plot.hover(0.3)
-        cell = tab.page.locator("tbody td").first
-        usual = cell.inner_text()
-        assert "deg/√h" in usual
+        head, cell = (tab.page.locator(f"tbody {kind}").first for kind in ("th", "td"))
+        assert "deg/√h" in head.inner_text()
+        usual = number(cell.inner_text().split(" ± ")[0])
         tab.page.get_by_role("button", name="SI units").click()
-        assert "rad/√s" in cell.inner_text()
+        assert "rad/√s" in head.inner_text()
+        mantissa, power = re.search(r"\((\S+) ± \S+\)(×10\S+)", cell.inner_text()).groups()
+        # A degree per root hour is π/180/60 rad/√s; three digits are shown.
+        assert number(mantissa + power) == pytest.approx(usual * math.pi / 180 / 60, rel=2e-3)
         line = next(line for line in plot.hover(0.3).splitlines() if "gyro_y" in line)
         value = number(re.search(r"(\S+) rad/s", line)[1])
         assert value == pytest.approx(before[0] * DEG_H, rel=6e-3)
-        plot.press("PSD S(f)")
+        plot = tab.chart("Gyros: power spectral density")
         assert "frequency f" in plot.hover(0.3)
         assert "(rad/s)²/Hz" in plot.readout
         tab.check()
@@ -175,22 +179,119 @@ def test_it_follows_the_colours_of_the_system_and_can_be_switched(chromium, show
         tab.check()
 
 
-def test_it_fits_the_width_of_a_phone(chromium, shown):
-    with browser.opened(chromium, shown, viewport={"width": 390, "height": 844}) as tab:
-        assert "gyro_y" in tab.chart("Gyros").hover(0.5)
-        assert tab.page.evaluate("document.documentElement.scrollWidth") == 390
+def six() -> aj.Recording:
+    """White noise on six axes, 0.3 deg/√h and 0.05 m/s/√h, and a line on gyro_y with 1.7 times its power."""
+    rng, rate, n = np.random.default_rng(3), 100.0, 30_000
+    white = math.sqrt(rate / 3600) * np.repeat([0.3, 0.05], 3)
+    x = white * rng.normal(size=(n, 6))
+    x[:, 1] += math.sqrt(2 * 1.7) * white[1] * np.sin(2 * math.pi * 17.3 / rate * np.arange(n))
+    names = [f"{sensor}_{axis}" for sensor in ("gyro", "accel") for axis in "xyz"]
+    return aj.Recording.from_array(x, rate, gyro_unit="deg/s", accel_unit="m/s²", names=names, name="six")
+
+
+@pytest.fixture(scope="module")
+def document(tmp_path_factory):
+    """A page as a laboratory hands it out: six axes, one with a line, limits, conditions and a title."""
+    recording = six()
+    critique = bench.once("critique of six axes", lambda: aj.critique(recording))
+    known = {"begun": 1.7e9, "auxiliary": {"temperature": np.linspace(24.0, 25.5, recording.n)}}
+    recording = dataclasses.replace(recording, notes=("auxiliary: temperature [degC]",), **known)
+    path = tmp_path_factory.mktemp("document") / "six.html"
+    more = {"title": "Unit 0123", "notes": {"serial number": "0123", "operator": "A. Smith"}}
+    limits = {"name": "AT-7", "gyro": {"meaning": "maximum", "N": "0.2 deg/√h", "K": "400 deg/h/√h"}}
+    aj.report(aj.fit(recording), path, critique=critique, recording=recording, spec=limits, **more)
+    return path
+
+
+@pytest.mark.parametrize("width", [390, 800, 1280])
+def test_no_text_lies_on_another_and_no_cell_is_cut(chromium, document, width):
+    with browser.opened(chromium, document, viewport={"width": width, "height": 800}) as tab:
+        tab.see_all()
+        found = tab.laid_out()
+        assert found.pop("count") > 400
+        assert found == {"over": [], "cut": [], "beyond": 0}
         tab.check()
 
 
-def test_it_prints_all_of_it_on_white(chromium, shown, tmp_path):
-    with browser.opened(chromium, shown, color_scheme="dark") as tab:
-        tab.page.pdf(path=tmp_path / "page.pdf")
-        tab.page.wait_for_timeout(300)
-        assert tab.page.evaluate("[...document.querySelectorAll('details')].every(d => d.open)")
+def test_the_measure_of_the_layout_sees_what_overlaps_and_is_cut(chromium, document):
+    with browser.opened(chromium, document) as tab:
+        tab.chart("Gyros")
+        tab.page.evaluate("document.querySelector('td').style.width = 0")
+        tab.page.evaluate("document.querySelector('.verdict').style.marginBottom = '-2rem'")
+        tab.page.evaluate("document.querySelector('canvas').getContext('2d').fillText('minimum', -20, 60)")
+        found = tab.laid_out()
+        assert any("AT-7" in pair for pair in found["over"])
+        assert "minimum" in found["cut"]
+
+
+def test_it_prints_on_two_or_three_sheets_with_a_legend(chromium, document, tmp_path):
+    with browser.opened(chromium, document, color_scheme="dark") as tab:
+        tab.page.pdf(path=tmp_path / "page.pdf", format="A4")
+        printed = (tmp_path / "page.pdf").read_bytes()
+        assert printed.startswith(b"%PDF")
+        assert len(re.findall(rb"/Type\s*/Page\b", printed)) in (2, 3)
+        # The same on the screen: 190 mm of paper are 718 pixels.
+        tab.page.set_viewport_size({"width": 718, "height": 1000})
+        tab.page.emulate_media(media="print")
+        tab.page.evaluate("dispatchEvent(new Event('beforeprint'))")
+        tab.page.wait_for_timeout(200)
+        found = tab.laid_out()
+        assert found.pop("count") > 200
+        assert found == {"over": [], "cut": [], "beyond": 0}
+        shown = tab.page.locator("figure", has_text="Gyros").first.locator(".controls button:visible")
+        # Only what is drawn, and no button that does something.
+        assert shown.all_inner_texts() == ["gyro_x", "gyro_y", "gyro_z", "model", "measured"]
+        colours = {button.evaluate("b => getComputedStyle(b).color") for button in shown.all()[:3]}
+        assert len(colours) == 3
+        text = tab.page.locator("body").inner_text()
+        assert "IEEE Std 952" in text
+        assert "two-sided density N²" in text
+        assert "Copy CSV" not in text
         tab.check()
-    printed = (tmp_path / "page.pdf").read_bytes()
-    assert printed.startswith(b"%PDF")
-    assert len(re.findall(rb"/Type\s*/Page\b", printed)) > 2
+
+
+def test_marks_are_those_of_one_axis(chromium, document):
+    written = (
+        "document.querySelector('canvas').written.map(([text]) => text).filter(t => t.includes('at 1 s'))"
+    )
+    with browser.opened(chromium, document) as tab:
+        plot = tab.chart("Gyros")
+        marks = plot.figure.get_by_role("button", name="marks", exact=True)
+        assert tab.page.evaluate(written) == ["N at 1 s"]
+        assert marks.get_attribute("title") == "of gyro_x"
+        plot.press("gyro_z")
+        plot.press("gyro_z")
+        assert tab.page.evaluate(written) == ["N at 1 s"]
+        assert marks.get_attribute("title") == "of gyro_z"
+        tab.check()
+
+
+def test_what_was_found_is_said_in_words_with_limits_and_conditions(chromium, document):
+    with browser.opened(chromium, document) as tab:
+        assert tab.page.locator("h1").inner_text() == "Unit 0123"
+        section = tab.page.locator("section").first
+        limits, found = section.locator(".verdict").all_inner_texts()
+        # The truth, see `six`: 1.7 times the power of the white noise.
+        assert re.fullmatch(
+            r"One disturbance: a spectral line at 17\.3\d* Hz on gyro_y, 1\.[67]\d* times its noise power\.",
+            found,
+        )
+        assert limits == "AT-7: fail, N of gyro_x, gyro_y and gyro_z."
+        text = section.inner_text()
+        assert "nats" not in text
+        assert "Good" not in text
+        for told in ("serial number: 0123", "operator: A. Smith", "start: 2023-11-14 22:13:20 UTC"):
+            assert told in text
+        assert "temperature [degC]: 24 … 25.5" in text
+        table = tab.page.locator("section", has=tab.page.get_by_role("heading", name="Limits"))
+        rows = table.locator("tbody tr")
+        assert rows.count() == 6
+        # N of 0.3 deg/√h is 50 % above 0.2.
+        value, low, high = map(
+            float, re.search(r"(-\d+) % \((-\d+) … (-\d+)\)", rows.first.inner_text()).groups()
+        )
+        assert value == pytest.approx(-50.0, abs=3.0)
+        assert low <= value <= high
 
 
 def test_hostile_names_are_shown_as_text(chromium, tmp_path):
@@ -339,6 +440,18 @@ def test_the_command_writes_one_page_for_several_files_with_their_hashes(tmp_pat
     assert (tmp_path / "r" / "a.html").read_text(encoding="utf-8").count("<h2>") >= 6
     assert run("report", "r/a.json", "--out", "saved.html").exit_code == 0
     assert run("report", "a.csv", "--out", "page.pdf").exit_code == 2
+    said = ["--title", "Unit 7", "--note", "serial number=0007", "--note", "operator=A. Smith"]
+    # White noise of 0.1 deg/√h: one limit is met, the other is not.
+    for limit, code in (("1 deg/√h", 0), ("0.01 deg/√h", 1)):
+        (tmp_path / "limits.yaml").write_text(f"gyro: {{meaning: maximum, N: {limit}}}", encoding="utf-8")
+        done = run("report", "r/a.json", "--spec", "limits.yaml", *said, "--out", "told.html")
+        assert done.exit_code == code, done.stderr
+        told = (tmp_path / "told.html").read_text(encoding="utf-8")
+        assert "<h1>Unit 7</h1>" in told
+        assert "serial number: 0007 · operator: A. Smith" in told
+        assert ("all limits are met" in told) == (code == 0)
+    assert run("report", "r/a.json", "--note", "serial number").exit_code == 2
+    assert run("report", "r/a.json", "--spec", "none.yaml").exit_code == 1
     missing = run("report", "none.csv", "--out", "n.html")
     assert missing.exit_code == 1
     assert "none.csv" in missing.stderr

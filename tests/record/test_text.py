@@ -166,6 +166,13 @@ def test_units_of_stamps(tmp_path):
         check(recording, options.get("rate", RATE), 1e-6 if label == "timestamp" else 1e-9)
         assert not recording.auxiliary
         assert recording.jitter == pytest.approx(0.0, abs=1e-7)
+        # Stamps that begin near zero tell no date.
+        is_date = np.ravel(stamps)[0] >= EPOCH
+        assert recording.begun == (pytest.approx(EPOCH, abs=1e-6) if is_date else None)
+    # The seconds 0.1 and later.
+    stamps, _ = STAMPS["sec|nanosec"]
+    path = write_text(tmp_path / "imu.csv", ["stamp.secs", "stamp.nsecs", *HEADER], stamps, NOISE)
+    assert aj.read(path, start=0.1).begun == pytest.approx(EPOCH + 0.1, abs=1e-6)
 
 
 def test_the_rate_is_that_of_all_intervals_and_the_jitter_their_scatter(tmp_path):
@@ -199,9 +206,10 @@ def test_what_ros_exports(tmp_path):
     # Dates.
     frame = pd.DataFrame({"when": pd.to_datetime(NS)} | dict(zip(HEADER, NOISE.T, strict=True)))
     frame.to_csv(tmp_path / "imu.csv", index=False)
-    check(aj.read(tmp_path / "imu.csv", time="when"))
-    frame.to_parquet(tmp_path / "imu.parquet")
-    check(aj.read(tmp_path / "imu.parquet"))
+    for path in (tmp_path / "imu.csv", tmp_path / "imu.parquet"):
+        frame.to_parquet(tmp_path / "imu.parquet")
+        check(recording := aj.read(path, time="when"))
+        assert recording.begun == EPOCH
 
 
 EUROC = ",".join(f"{x}_RS_S_{a} [{u} s^-{k}]" for x, u, k in (("w", "rad", 1), ("a", "m", 2)) for a in "xyz")

@@ -63,6 +63,14 @@ class Units:
 
 
 @dataclasses.dataclass(frozen=True)
+class Method:
+    """The paragraph on the method: a fit's objective, and the terms that were given, if any."""
+
+    objective: str
+    terms: str
+
+
+@dataclasses.dataclass(frozen=True)
 class Exports:
     """Texts to copy, by the names under which they are chosen."""
 
@@ -94,7 +102,7 @@ class Trace:
         layer: what it is, e.g. "measured" or "model"; layers are shown and hidden together.
         x, y: the points.
         low, high: ends of their intervals.
-        look: "dots", "line" or "dashes".
+        look: "dots", "rings", which dots do not hide, "line" or "dashes".
         labels: what hovering adds for each point, as numbers of `names`.
         names: texts for `labels`.
     """
@@ -141,6 +149,7 @@ class View:
         groups: names of the axes or recordings.
         traces, marks, spans: what is drawn.
         log: which scales are logarithmic: "xy", "x", "y" or "".
+        single: whether marks are shown of one group at a time.
         interval: what the intervals of the traces are.
         hidden: layers that are hidden at first.
     """
@@ -155,6 +164,7 @@ class View:
     marks: Sequence[Mark] = ()
     spans: Sequence[Span] = ()
     log: str = "xy"
+    single: bool = False
     interval: str = "95 %"
     hidden: Sequence[str] = ()
 
@@ -166,22 +176,21 @@ class Chart:
     Attributes:
         title: its title.
         views: what it switches between.
-        summary: what it shows, for those who do not see it.
         slider: what a slider below it chooses on the x axis, e.g. "horizon"; "" for none.
     """
 
     title: str
     views: Sequence[View]
-    summary: str = ""
     slider: str = ""
 
 
-Block: TypeAlias = Text | Table | Units | Exports | Fold | Row | Chart
+Block: TypeAlias = Text | Table | Units | Method | Exports | Fold | Row | Chart
 
 
 @dataclasses.dataclass(frozen=True)
 class Section:
-    """A part of a page with its heading."""
+    """A part of a page with its heading, on paper only if it is `printed`."""
 
     title: str
     blocks: Sequence[Block]
+    printed: bool = True

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+import dataclasses
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
@@ -17,7 +18,6 @@ from allanjax.estimate.result import AxisFit, Fit
 from allanjax.navigation.likely import sensors_of
 from allanjax.noise.datasheet import MINIMUM
 from allanjax.noise.estimate import title_of
-from allanjax.noise.process import Process
 from allanjax.presentation import allan_figure, draw, spectrum_figure
 from allanjax.presentation.draw import SENSORS, Residual
 from allanjax.presentation.page.blocks import Chart, Mark, Span, Trace, View
@@ -38,111 +38,109 @@ _EVERYWHERE, _MOST = 0.95, 200
 _Places: TypeAlias = Float[np.ndarray, " m"]
 
 
-class Own(NamedTuple):
-    """An axis of a chart: its number in the fit, and in the chart."""
-
-    k: int
-    group: int
-    axis: Axis
-
-
-def by_sensor(axes: Sequence[Axis]) -> Iterator[tuple[Sensor, list[Own]]]:
+def by_sensor(axes: Sequence[Axis]) -> dict[Sensor, list[Axis]]:
     """The axes of each sensor that there is, gyros first."""
-    for sensor in SENSORS:
-        own = [(k, axis) for k, axis in enumerate(axes) if axis.sensor == sensor]
-        if own:
-            yield sensor, [Own(k, group, axis) for group, (k, axis) in enumerate(own)]
+    every = {sensor: [axis for axis in axes if axis.sensor == sensor] for sensor in SENSORS}
+    return {sensor: own for sensor, own in every.items() if own}
 
 
-def _view(
-    own: Sequence[Own],
-    labels: tuple[str, str, str, str],
-    units: Sequence[tuple[str, float]],
-    traces: Sequence[Trace],
-    **more: Any,
-) -> View:
-    """View of axes; terms are hidden at first where there are several. SI is no second unit of itself."""
-    hidden = ["terms"] if len(own) > 1 and any(trace.layer == "terms" for trace in traces) else []
-    names = [axis.name for *_, axis in own]
-    return View(*labels, units=[*dict(units).items()], groups=names, traces=traces, hidden=hidden, **more)
+def each(
+    axes: Sequence[Axis], title: str, views: Callable[[list[Axis]], Iterable[View]], slider: str = ""
+) -> list[Chart]:
+    """A chart of each sensor, with the views of its axes."""
+    parts = by_sensor(axes).items()
+    return [Chart(title.format(SENSORS[of].capitalize()), [*views(own)], slider) for of, own in parts]
 
 
-def curves(fit: Fit, spectrum: PowerSpectrum | None, findings: Sequence[Finding]) -> dict[Sensor, Chart]:
-    """Allan deviations of each sensor, and their spectra as a second view."""
-    charts = {}
-    for sensor, own in by_sensor([r.axis for r in fit.results]):
-        views = [_allan(fit, own)]
-        if spectrum is not None:
-            views.append(density(fit, spectrum, own, findings))
-        summary = f"Allan deviation of {', '.join(a.name for *_, a in own)}; the table has the coefficients."
-        charts[sensor] = Chart(SENSORS[sensor].capitalize(), views, summary)
-    return charts
+def allan(axis: Axis, name: str = "Allan deviation σ(τ)") -> dict[str, Any]:
+    """Labels and units of Allan deviations over the cluster time."""
+    return _labels((name, "cluster time τ", "s", "σ"), rate_unit(axis), SI[axis.sensor]["rate"])
 
 
-def _allan(fit: Fit, own: Sequence[Own]) -> View:
-    """Allan deviations with 95 % intervals, models, terms, and the points at which coefficients are read."""
-    curve, axis = fit.curve, own[0].axis
+def psd(axis: Axis) -> dict[str, Any]:
+    """Labels and units of one-sided power spectral densities."""
+    labels = "PSD S(f)", "frequency f", "Hz", "S"
+    return _labels(labels, density_unit(axis), f"({SI[axis.sensor]['rate']})²/Hz")
+
+
+def over(axis: Axis, name: str = "samples") -> dict[str, Any]:
+    """Labels and units of samples over time."""
+    labels = name, "time since the start", "s", "samples − mean"
+    return _labels(labels, rate_unit_of(axis.unit, axis.sensor), SI[axis.sensor]["rate"])
+
+
+def _labels(labels: Sequence[str], unit: tuple[str, float], si: str) -> dict[str, Any]:
+    """Fields of a view; SI is no second unit of itself."""
+    named = dict(zip(("name", "x", "x_unit", "y"), labels, strict=True))
+    return {**named, "units": [*dict([unit, (si, 1.0)]).items()]}
+
+
+def curves(fit: Fit) -> list[Chart]:
+    """Allan deviations of each sensor with 95 % intervals, models, terms, and points to read coefficients."""
+    curve, time = fit.curve, draw.times_of(fit.curve, _POINTS)
     low, high = curve.confidence_interval(0.95)
-    time = draw.times_of(curve, _POINTS)
-    traces, marks = list[Trace](), list[Mark]()
-    for k, group, _ in own:
-        points = (curve.cluster_time, curve.deviation[:, k], low[:, k], high[:, k])
-        result = fit.results[k]
-        stated = list(fit.model_curve(result.axis.name, time)) if result.converged else []
-        traces += _curve(group, result, curve.rate, points, time, _variance, np.sqrt, stated)
-        marks += _marks(fit, k, group)
-    units = (rate_unit(axis), (SI[axis.sensor]["rate"], 1.0))
-    return _view(own, ("Allan deviation σ(τ)", "cluster time τ", "s", "σ"), units, traces, marks=marks)
+
+    def views(own: Sequence[Axis]) -> Iterator[View]:
+        traces, marks = list[Trace](), list[Mark]()
+        for group, axis in enumerate(own):
+            k, result = curve.names.index(axis.name), fit[axis.name]
+            points = curve.cluster_time, curve.deviation[:, k], low[:, k], high[:, k]
+            stated = list(fit.model_curve(axis.name, time)) if result.converged else []
+            traces += _curve(Trace(group, "measured", *points), result, curve.rate, time, stated)
+            marks += _marks(fit, k, group)
+        yield _view(own, traces, **allan(own[0]), marks=marks, single=True)
+
+    return each(_axes(fit), "{}", views)
 
 
-def _variance(term: Process, time: _Places, rate: float) -> Any:
-    """Allan variance of a term; None of one that has none."""
-    return None if isinstance(term, allan_figure.Transient) else term.allan_variance(time)
+def _axes(fit: Fit) -> list[Axis]:
+    """The axes that were fitted."""
+    return [result.axis for result in fit.results]
 
 
-def _density(term: Process, frequency: _Places, rate: float) -> Any:
-    """One-sided density of a term; None of one that has none."""
-    return None if term.deterministic else 2.0 * np.asarray(term.sampled_psd(frequency, rate))
+def _view(own: Sequence[Axis], traces: Sequence[Trace], **more: Any) -> View:
+    """View of axes; terms are hidden at first where there are several."""
+    hidden = ["terms"] if len(own) > 1 and any(trace.layer == "terms" for trace in traces) else []
+    return View(groups=[axis.name for axis in own], traces=traces, **{"hidden": hidden, **more})
 
 
 def _curve(
-    group: int,
-    result: AxisFit,
-    rate: float,
-    points: tuple[_Places, _Places, _Places, _Places],
-    x: _Places,
-    of_term: Callable[[Process, _Places, float], Any],
-    shown: np.ufunc,
-    stated: Sequence[_Places],
+    measured: Trace, result: AxisFit, rate: float, x: _Places, stated: Sequence[_Places]
 ) -> Iterator[Trace]:
     """The model at x, its terms, and the measured points, with the largest term at each of them.
 
-    The model is what the fit states, perhaps with the ends of its interval. What is `shown` of a term is a
-    function of what `of_term` gives.
+    The model is what the fit states: Allan deviations with the ends of their interval, or densities.
     """
     if not result.converged:
-        yield Trace(group, "measured", *points)
+        yield measured
         return
-    processes = dict(zip(result.term_labels, result.model.sampled(rate).processes, strict=True))
-    there = {label: term for label, term in processes.items() if of_term(term, x[:1], rate) is not None}
-    at, drawn = (
-        np.reshape([np.asarray(of_term(term, to, rate)) for term in there.values()], (-1, len(to)))
-        for to in (points[0], x)
-    )
-    total = drawn.sum(axis=0)
-    line, *ends = stated
+    group, (line, *ends) = measured.group, stated
     low, high = ends or (None, None)
+    at, drawn = (_powers(result, rate, to, bool(ends)) for to in (measured.x, x))
     yield Trace(group, "model", x, line, low, high, "line")
-    for power in drawn:
+    total = sum(drawn.values())
+    for power in drawn.values():
         # Where a term is next to nothing, it would only stretch the scale.
         some = np.flatnonzero(power > _LITTLE * total)[::_EVERY]
-        yield Trace(group, "terms", x[some], shown(power[some]), look="dashes")
-    largest = np.argmax(at, axis=0) if len(at) else []
-    share = np.max(at, axis=0, initial=0.0) / np.maximum(at.sum(axis=0), 1e-300)
-    titles = [title_of(label, result.axis.sensor) for label in there]
-    words = [f"mostly {titles[k]} ({percent(float(s))})" for k, s in zip(largest, share, strict=False)]
+        y = power[some]
+        yield Trace(group, "terms", x[some], np.sqrt(y) if ends else y, look="dashes")
+    every, titles = np.array([*at.values()]), [title_of(label, result.axis.sensor) for label in at]
+    words = [
+        f"mostly {titles[k]} ({percent(float(y[k] / max(y.sum(), 1e-300)))})"
+        for y, k in zip(every.T, np.argmax(every, axis=0) if at else (), strict=True)
+    ]
     names = list(dict.fromkeys(words))
-    yield Trace(group, "measured", *points, labels=[names.index(word) for word in words], names=names)
+    yield dataclasses.replace(measured, labels=[names.index(word) for word in words], names=names)
+
+
+def _powers(result: AxisFit, rate: float, x: _Places, is_allan: bool) -> dict[str, _Places]:
+    """Allan variances at times, or one-sided densities, of the terms that have one, by labels."""
+    terms = dict(zip(result.term_labels, result.model.sampled(rate).processes, strict=True))
+    if is_allan:
+        known = {label: term for label, term in terms.items() if not isinstance(term, allan_figure.Transient)}
+        return {label: np.asarray(term.allan_variance(x)) for label, term in known.items()}
+    known = {label: term for label, term in terms.items() if not term.deterministic}
+    return {label: 2.0 * np.asarray(term.sampled_psd(x, rate)) for label, term in known.items()}
 
 
 def _marks(fit: Fit, k: int, group: int) -> Iterator[Mark]:
@@ -161,71 +159,73 @@ def _marks(fit: Fit, k: int, group: int) -> Iterator[Mark]:
         yield Mark("0.664·B", at, MINIMUM * c.value, group)
 
 
-def density(fit: Fit, spectrum: PowerSpectrum, own: Sequence[Own], findings: Sequence[Finding]) -> View:
+def densities(fit: Fit, spectrum: PowerSpectrum, findings: Sequence[Finding]) -> list[Chart]:
     """One-sided PSD with 95 % intervals, models, terms, and the findings that are in the spectrum."""
     low, high = spectrum.confidence_interval(0.95)
-    traces, names = list[Trace](), [a.name for *_, a in own]
-    for _, group, axis in own:
-        k, result = spectrum.names.index(axis.name), fit[axis.name]
-        x = spectrum.frequency
-        if result.converged:
-            x = spectrum_figure.frequencies(spectrum, result.model)
-        points = (spectrum.frequency, spectrum.density[:, k], low[:, k], high[:, k])
-        stated = [fit.model_density(axis.name, x)] if result.converged else []
-        traces += _curve(group, result, spectrum.rate, points, x, _density, np.positive, stated)
-    unit = SI[own[0].axis.sensor]["rate"]
-    units = (density_unit(own[0].axis), (f"({unit})²/Hz", 1.0))
-    spans = [_span(f, names) for f in findings if _is_within(f, names, 0.5 * spectrum.rate)]
-    return _view(own, ("PSD S(f)", "frequency f", "Hz", "S"), units, traces, spans=spans)
+
+    def views(own: Sequence[Axis]) -> Iterator[View]:
+        traces = list[Trace]()
+        for group, axis in enumerate(own):
+            k, result, x = spectrum.names.index(axis.name), fit[axis.name], spectrum.frequency
+            points = (x, spectrum.density[:, k], low[:, k], high[:, k])
+            stated = []
+            if result.converged:
+                x = spectrum_figure.frequencies(spectrum, result.model)
+                stated = [fit.model_density(axis.name, x)]
+            traces += _curve(Trace(group, "measured", *points), result, spectrum.rate, x, stated)
+        spans = [*_places(findings, own, "frequency", 0.5 * spectrum.rate)]
+        yield _view(own, traces, **psd(own[0]), spans=spans)
+
+    return each(_axes(fit), "{}: power spectral density", views)
 
 
-def _is_within(finding: Finding, names: Sequence[str], highest: float) -> bool:
-    """Whether a finding is on one of these axes and in a part of the spectrum."""
-    start, stop = finding.span
-    here = finding.domain == "frequency" and {*finding.axes} & {*names}
-    return bool(here) and stop - start < _EVERYWHERE * highest
+def _places(findings: Sequence[Finding], axes: Sequence[Axis], domain: str, total: float) -> Iterator[Span]:
+    """Where findings on these axes are, in time or frequency; outliers are marked singly."""
+    for finding in findings:
+        own = [group for group, axis in enumerate(axes) if axis.name in finding.axes]
+        start, stop = map(float, finding.span)
+        here = own and finding.domain == domain and stop - start < _EVERYWHERE * total
+        if here and not numbers_in(finding.details, "times"):
+            # Of one axis, or of all that the chart shows.
+            group = own[0] if len(own) == 1 < len(axes) else None
+            yield Span(finding.named(finding.cause), start, stop, group)
 
 
-def _span(finding: Finding, names: Sequence[str]) -> Span:
-    """Where a finding is; of one axis, or of all that the chart shows."""
-    own = [names.index(name) for name in finding.axes if name in names]
-    start, stop = (float(x) for x in finding.span)
-    return Span(finding.named(finding.cause), start, stop, own[0] if len(own) == 1 < len(names) else None)
+def line(frequency: float, axes: str, amplitude: float, strongest: AxisFit) -> str:
+    """A spectral line in words, with its power over that of the rest of the axis on which it is strongest."""
+    power = 0.5 * amplitude**2
+    ratio = power / (strongest.rms**2 - power)
+    text = f"a spectral line at {plain(frequency, 4)} Hz on {axes}"
+    if not ratio > 0.0:
+        return text
+    return f"{text}, {f'{plain(ratio, 2)} times' if ratio > 1.0 else percent(ratio)} its noise power"
 
 
 def residuals(fit: Fit, spectrum: PowerSpectrum | None) -> list[Chart]:
     """Measured over model minus one, of Allan deviations and of the spectra."""
-    charts = []
-    for sensor, every in by_sensor([r.axis for r in fit.results]):
-        own = [one for one in every if fit.results[one.k].converged]
-        if not own:
-            continue
-        names = [axis.name for *_, axis in own]
-        of = [allan_figure.residual(fit.as_for(axis.name), k) for k, _, axis in own]
-        views = [_residual_view("Allan deviation", ("cluster time τ", "s"), names, of)]
+
+    def views(own: Sequence[Axis]) -> Iterator[View]:
+        names = [axis.name for axis in own]
+        of = [allan_figure.residual(fit.as_for(name), fit.curve.names.index(name)) for name in names]
+        yield _residual(own, of, ("Allan deviation", "cluster time τ", "s"))
         if spectrum is not None:
-            place = {name: k for k, name in enumerate(spectrum.names)}
-            of = [spectrum_figure.residual(spectrum, place[name], fit) for name in names]
-            views.append(_residual_view("PSD", ("frequency f", "Hz"), names, of))
-        charts.append(Chart(f"{SENSORS[sensor].capitalize()}: measured over model", views))
-    return charts
+            of = [spectrum_figure.residual(spectrum, spectrum.names.index(name), fit) for name in names]
+            yield _residual(own, of, ("PSD", "frequency f", "Hz"))
+
+    known = [axis for axis in _axes(fit) if fit[axis.name].converged]
+    return each(known, "{}: measured over model", views)
 
 
-def _residual_view(
-    name: str, x: tuple[str, str], names: Sequence[str], residuals: Sequence[Residual]
-) -> View:
+def _residual(own: Sequence[Axis], residuals: Sequence[Residual], labels: Sequence[str]) -> View:
     """Residuals of axes with their 68 % intervals, and where 95 % of each lie by chance."""
     traces, chance = list[Trace](), "95 % by chance"
     for group, residual in enumerate(residuals):
         p = residual.points
         traces.append(Trace(group, "residual", p.x, p.y, p.y - p.spread[0], p.y + p.spread[1]))
         low, high = residual.chance
-        traces.append(Trace(group, chance, p.x, np.zeros_like(p.y), low, high, look="dashes"))
-    hidden = [chance] if len(names) > 1 else []
-    labels = (name, *x, "measured/model − 1")
-    return View(
-        *labels, units=[("%", 1.0)], groups=names, traces=traces, log="x", interval="68 %", hidden=hidden
-    )
+        traces.append(Trace(group, chance, p.x, np.zeros_like(p.y), low, high, "dashes"))
+    more = {"log": "x", "interval": "68 %", "hidden": [chance] if len(own) > 1 else []}
+    return _view(own, traces, **_labels((*labels, "measured/model − 1"), ("%", 1.0), "%"), **more)
 
 
 class Series(NamedTuple):
@@ -253,25 +253,22 @@ def over_time(recording: Recording, fit: Fit, critique: Critique | None) -> list
     With a critique the recording is what was criticized.
     """
     findings = () if critique is None else critique.findings
-    charts = []
-    for sensor, own in by_sensor(recording.axes):
-        names, traces, marks = [axis.name for *_, axis in own], list[Trace](), list[Mark]()
-        for k, group, _ in own:
-            s = thinned(recording.values[:, k], recording.rate)
+
+    def views(own: Sequence[Axis]) -> Iterator[View]:
+        traces, marks = list[Trace](), list[Mark]()
+        for group, axis in enumerate(own):
+            s = thinned(recording.values[:, recording.names.index(axis.name)], recording.rate)
             traces.append(Trace(group, "mean of blocks", s.time, s.mean, s.low, s.high, look="line"))
-            marks += _outliers(findings, names[group], group, s)
-        labels = ("samples", "time since the start", "s", "samples − mean")
-        units = (rate_unit_of(own[0].axis.unit, sensor), (SI[sensor]["rate"], 1.0))
-        spans = [*_parts(recording, fit, names)] if critique is None else []
-        spans += _places(findings, names, recording.duration)
+            marks += _outliers(findings, axis.name, group, s)
+        spans = [*_parts(recording, fit, own)] if critique is None else []
+        spans += _places(findings, own, "time", recording.duration)
         more = {"marks": marks, "spans": spans, "log": "", "interval": "least … largest"}
-        views = [_view(own, labels, units, traces, **more)]
-        summary = f"Least and largest sample of each of {len(traces[0].x)} blocks."
-        charts.append(Chart(f"{SENSORS[sensor].capitalize()} over time", views, summary))
-    return charts
+        yield _view(own, traces, **over(own[0]), **more)
+
+    return each(recording.axes, "{} over time", views)
 
 
-def _parts(recording: Recording, fit: Fit, names: Sequence[str]) -> Iterator[Span]:
+def _parts(recording: Recording, fit: Fit, own: Sequence[Axis]) -> Iterator[Span]:
     """Gaps of the record, what was left out of the fit, and facts about these axes that are at some time."""
     for gap in recording.gaps or ():
         yield Span("gap", gap.first / recording.rate, (gap.first + gap.samples) / recording.rate)
@@ -280,18 +277,9 @@ def _parts(recording: Recording, fit: Fit, names: Sequence[str]) -> Iterator[Spa
         if stop - start > 1.0 / recording.rate:
             yield Span("left out", start, stop)
     for fact in fit.facts:
-        for start, stop in fact.spans if {*fact.axes} & {*names} else ():
+        for start, stop in fact.spans if any(axis.name in fact.axes for axis in own) else ():
             if stop - start < _EVERYWHERE * recording.duration:
                 yield Span(fact.kind, start, stop)
-
-
-def _places(findings: Sequence[Finding], names: Sequence[str], total: float) -> Iterator[Span]:
-    """Findings on these axes that are at some time; outliers are marked singly."""
-    for finding in findings:
-        if finding.domain == "time" and {*finding.axes} & {*names}:
-            span = _span(finding, names)
-            if span.stop - span.start < _EVERYWHERE * total and not numbers_in(finding.details, "times"):
-                yield span
 
 
 def _outliers(findings: Sequence[Finding], name: str, group: int, s: Series) -> Iterator[Mark]:
@@ -307,23 +295,22 @@ def _outliers(findings: Sequence[Finding], name: str, group: int, s: Series) -> 
 
 def through_time(dynamic: DynamicAllan, critique: Critique | None) -> list[Chart]:
     """Allan deviations in successive windows at some cluster times, with the findings that have a place."""
-    charts, (low, high) = [], dynamic.confidence_interval()
+    low, high = dynamic.confidence_interval()
     some = np.unique(np.linspace(0, len(dynamic.cluster_time) - 1, _SHOWN).astype(int)).tolist()
     findings, total = () if critique is None else critique.findings, dynamic.window * len(dynamic.time)
-    for sensor, own in by_sensor(dynamic.axes):
-        units, views = (rate_unit(own[0].axis), (SI[sensor]["rate"], 1.0)), []
-        spans = list(_places(findings, [axis.name for *_, axis in own], total))
+
+    def views(own: Sequence[Axis]) -> Iterator[View]:
+        spans = [*_places(findings, own, "time", total)]
         for m in some:
-            value, least, most = (y[:, m] for y in (dynamic.deviation, low, high))
-            traces = [
-                Trace(group, "measured", dynamic.time, value[:, k], least[:, k], most[:, k])
-                for k, group, _ in own
-            ]
-            labels = (f"τ = {plain(dynamic.cluster_time[m], 3)} s", "time since the start", "s", "σ")
-            views.append(_view(own, labels, units, traces, spans=spans, log="y"))
-        title = f"{SENSORS[sensor].capitalize()} in windows of {duration(dynamic.window)}"
-        charts.append(Chart(title, views))
-    return charts
+            traces = list[Trace]()
+            for group, axis in enumerate(own):
+                k = dynamic.axes.index(axis)
+                y, y_low, y_high = (of[:, m, k] for of in (dynamic.deviation, low, high))
+                traces.append(Trace(group, "measured", dynamic.time, y, y_low, y_high))
+            labels = allan(own[0], f"τ = {plain(dynamic.cluster_time[m], 3)} s")
+            yield _view(own, traces, **{**labels, "x": "time since the start"}, spans=spans, log="y")
+
+    return each(dynamic.axes, f"{{}} in windows of {duration(dynamic.window)}", views)
 
 
 def drifts(fit: Fit) -> list[Chart]:
@@ -333,15 +320,13 @@ def drifts(fit: Fit) -> list[Chart]:
     """
     noise, length = sensors_of(fit, None, 0), fit.curve.n / fit.curve.rate
     time = np.geomspace(max(_HORIZONS[0], 2.0 / fit.curve.rate), _HORIZONS[1], _COUNT)
-    charts = []
-    for sensor, own in by_sensor([of.axis for of in noise.axes.values()]):
-        traces = []
-        for _, group, axis in own:
-            traces.append(Trace(group, "drift", time, *drift(noise, noise.axes[axis.name], time)))
-        word = "angle" if sensor == "gyro" else "velocity"
+
+    def views(own: Sequence[Axis]) -> Iterator[View]:
+        known = [drift(noise, noise.axes[axis.name], time) for axis in own]
+        traces = [Trace(group, "drift", time, *of) for group, of in enumerate(known)]
+        word, si = ("angle", "rad") if own[0].sensor == "gyro" else ("velocity", "m/s")
+        labels = _labels(("drift", "horizon t", "s", f"{word} error (1σ)"), SHOWN[own[0].sensor], si)
         beyond = Span("beyond half the record: extrapolated", length / 2.0, float(time[-1]))
-        labels = ("drift", "horizon t", "s", f"{word} error (1σ)")
-        units = (SHOWN[sensor], ("rad" if sensor == "gyro" else "m/s", 1.0))
-        view = _view(own, labels, units, traces, spans=[beyond] if beyond.start < beyond.stop else [])
-        charts.append(Chart(f"{SENSORS[sensor].capitalize()}: predicted drift", [view], slider="Horizon"))
-    return charts
+        yield _view(own, traces, **labels, spans=[beyond] if beyond.start < beyond.stop else [])
+
+    return each([of.axis for of in noise.axes.values()], "{}: predicted drift", views, "Horizon")

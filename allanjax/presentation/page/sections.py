@@ -4,16 +4,17 @@ from __future__ import annotations
 
 import datetime
 import platform
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from importlib.metadata import version
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from allanjax.allan.deviation import dynamic_allan, rate_unit
+from allanjax.allan.deviation import dynamic_allan
 from allanjax.base.errors import AllanjaxError
 from allanjax.base.wording import record_size
 from allanjax.comparison.compare import Comparison, axes_of
+from allanjax.comparison.specification import SpecCheck
 from allanjax.critic.result import Critique
 from allanjax.estimate.check import Check
 from allanjax.estimate.result import MAIN, Fit, detail
@@ -22,6 +23,7 @@ from allanjax.fleet.table import lines_of, times
 from allanjax.fleet.table import tables as fleet_tables
 from allanjax.inspection.facts import listed
 from allanjax.noise.estimate import SYMBOLS, Estimate, title_of
+from allanjax.noise.terms import Sinusoid
 from allanjax.presentation.draw import SENSORS
 from allanjax.presentation.export.exporting import exported
 from allanjax.presentation.export.targets import TARGETS
@@ -34,6 +36,7 @@ from allanjax.presentation.page.blocks import (
     Exports,
     Fold,
     Mark,
+    Method,
     Row,
     Section,
     Table,
@@ -43,7 +46,7 @@ from allanjax.presentation.page.blocks import (
     View,
 )
 from allanjax.record.recording import Axis, Recording
-from allanjax.record.units import SI, Sensor, unit_scale
+from allanjax.record.units import SI, unit_scale
 from allanjax.spectrum.psd import PowerSpectrum
 
 if TYPE_CHECKING:
@@ -53,127 +56,177 @@ if TYPE_CHECKING:
 _LONG = 10_000
 # Cluster times at which models without a record are drawn [s].
 _TIMES = np.geomspace(0.01, 1e4, 150)
+# Classes of the style sheet for verdicts.
+_STYLES = {"pass": "verdict good", "fail": "verdict bad", "undecided": "verdict care"}
 
 
-def of_record(
-    fit: Fit,
-    critique: Critique | None,
-    recording: Recording | None,
-    spectrum: PowerSpectrum | None,
-    check: Check | None,
-    origin: Mapping[str, str],
-) -> Iterator[Section]:
+class Reported(NamedTuple):
+    """What a page shows of one recording; what is missing is left out or follows from the rest.
+
+    Attributes:
+        fit: its fit.
+        critique: its critique.
+        recording: its samples.
+        spectrum: its spectrum.
+        check: its check.
+        limits: its check against a specification.
+        conditions: serial number, temperature and others, in words by headings.
+        origin: where it is from, in the same way.
+    """
+
+    fit: Fit
+    critique: Critique | None = None
+    recording: Recording | None = None
+    spectrum: PowerSpectrum | None = None
+    check: Check | None = None
+    limits: SpecCheck | None = None
+    conditions: Mapping[str, str] = {}
+    origin: Mapping[str, str] = {}
+
+
+def of_record(one: Reported) -> Iterator[Section]:
     """Sections about one recording; what is not given is left out."""
+    fit, critique, recording, spectrum = one[:4]
     findings = () if critique is None else critique.findings
-    tables, curves = coefficients(fit), charts.curves(fit, spectrum, findings)
-    pairs = [Row([*([tables[s]] if s in tables else []), chart]) for s, chart in curves.items()]
-    yield Section("Result", [*verdict(fit, critique), *pairs, *warnings(fit, critique)])
+    shown = Row([*coefficients(fit), *charts.curves(fit)])
+    yield Section("Result", [*verdict(one), shown, *warnings(fit, critique)])
+    if one.limits is not None:
+        told = [Text(line, "note") for line in one.limits._notes()]
+        yield Section("Limits", [*map(Table.of, one.limits._tables()), *told])
     if spectrum is not None:
-        own = charts.by_sensor([r.axis for r in fit.results])
-        views = [(SENSORS[sensor], charts.density(fit, spectrum, axes, findings)) for sensor, axes in own]
-        densities = [Chart(f"{name.capitalize()}: power spectral density", [view]) for name, view in views]
-        yield Section("Spectrum", [Row(densities)])
+        yield Section("Spectrum", [Row(charts.densities(fit, spectrum, findings))])
     if recording is not None:
         yield Section("Record", [Row(charts.over_time(recording, fit, critique))])
         if recording.n >= _LONG:
             dynamic = dynamic_allan(recording)
-            yield Section("Through time", [Row(charts.through_time(dynamic, critique))])
+            yield Section("Through time", [Row(charts.through_time(dynamic, critique))], printed=False)
     if residuals := charts.residuals(fit, spectrum):
-        yield Section("Residuals", [Row(residuals)])
+        yield Section("Residuals", [Row(residuals)], printed=False)
     if critique is not None:
         # Here, as the critic imports slow libraries.
         from allanjax.presentation.page.story import findings_in_full
 
-        yield Section("What a simulation gets wrong", list(findings_in_full(critique)))
+        yield Section("What a simulation gets wrong", [*findings_in_full(critique)])
     if any(r.measured for r in fit.results):
-        yield Section("Predicted drift", [Row(charts.drifts(fit))])
-    yield Section("Exports", list(exports(fit)))
-    yield Section("Details", list(details(fit, check)))
-    yield Section("How this page was made", [made(fit, origin)])
+        yield Section("Predicted drift", [Row(charts.drifts(fit))], printed=False)
+    yield Section("Exports", [*exports(fit)], printed=False)
+    yield Section("Details", [*details(fit, one.check)], printed=False)
+    yield Section("Method", [Method(fit.objective, "" if fit.chosen else str(fit.template))])
+    yield Section("How this page was made", [made(one.origin)])
 
 
 # --- Verdict and coefficients -------------------------------------------------------------------------------
 
 
-def verdict(fit: Fit, critique: Critique | None) -> Iterator[Text]:
-    """Whether the coefficients are a measurement, and whether the model fits."""
+def verdict(one: Reported) -> Iterator[Text]:
+    """Whether limits are met, what was found, whether the model fits, and the conditions of the record."""
+    fit, (disturbed, also) = one.fit, _found(one)
+    good, off = ([r.axis.name for r in fit.results if r.measured and r.fits == fits] for fits in (1, 0))
     failed = [*fit.not_measured, *fit.without_result]
-    off = [r.axis.name for r in fit.results if r.measured and not r.fits]
-    good = [r.axis.name for r in fit.results if r.measured and r.fits]
-    style, text = "good", f"Good: the noise model fits {'all axes' if len(good) > 1 else 'the axis'}."
+    if one.limits is not None:
+        yield _against(one.limits)
     if failed:
-        style = "bad"
-        text = f"Not a measurement of the sensor on {listed(failed, 6) if good or off else 'any axis'}."
+        where = listed(failed, 6) if good or off else "any axis"
+        yield Text(f"Not a measurement of the sensor on {where}.", "verdict bad")
+    if disturbed:
+        count = "One disturbance" if len(disturbed) == 1 else f"{len(disturbed)} disturbances"
+        yield Text(f"{count}: {_first(disturbed)}.", "verdict care")
     if off:
-        if not failed:
-            style, text = "care", "Usable with care."
-        which = listed(off, 6) if good or failed else "any axis"
-        text += f" The model does not fit {which}; the intervals are wider for it."
-    if good and style != "good":
-        text += f" It fits {listed(good, 6)}."
-    yield Text(text, f"verdict {style}")
-    size = f"{record_size(fit.curve.n, fit.curve.rate)}{fit.curve.describe_others()}."
-    yield Text(size, "note")
-    if critique is not None:
-        from allanjax.presentation.page.story import headline
+        where = listed(off, 6) if good or failed else "any axis"
+        yield Text(f"The noise model does not fit {where}; the intervals are wider for it.", "verdict care")
+    if good:
+        where = "all axes" if len(good) > 1 and not (off or failed) else listed(good, 6)
+        alone = not (off or failed or disturbed or one.limits)
+        yield Text(f"The noise model fits {where}.", "verdict good" if alone else "")
+    if also:
+        yield Text(f"Also found: {_first(also)}.")
+    size = record_size(fit.curve.n, fit.curve.rate) + fit.curve.describe_others()
+    yield Text(" · ".join([size, *map(": ".join, one.conditions.items())]), "note")
 
-        yield headline(critique)
+
+def _first(texts: Sequence[str]) -> str:
+    """The first three texts, and how many there are more."""
+    more = [f"and {len(texts) - 3} more"] if len(texts) > 3 else []
+    return "; ".join([*texts[:3], *more])
+
+
+def _found(one: Reported) -> tuple[list[str], list[str]]:
+    """Disturbances and properties of the sensor in words: by the critic, or lines of the models."""
+    if one.critique is not None:
+        from allanjax.presentation.page.story import in_words
+
+        return in_words(one.critique, one.fit)
+    known = [r for r in one.fit.results if r.converged]
+    lines = [(r, term) for r in known for term in r.model.terms if isinstance(term, Sinusoid)]
+    return [charts.line(term.frequency, r.axis.name, term.amplitude, r) for r, term in lines], []
+
+
+def _against(judged: SpecCheck) -> Text:
+    """Whether limits are met, and which are not."""
+    word, axes = judged.verdict, dict[str, list[str]]()
+    for r in judged.results:
+        if r.verdict == word:
+            axes.setdefault(r.limit.title, []).append(r.axis)
+    which = listed([f"{title} of {listed(names)}" for title, names in axes.items()])
+    text = "all limits are met" if word == "pass" else f"{word}, {which}"
+    return Text(f"{judged.sheet}: {text}.", _STYLES[word])
 
 
 def warnings(fit: Fit, critique: Critique | None) -> Iterator[Text]:
     """Warnings about the recording, and why an axis has no result."""
-    known = dict.fromkeys((*fit.warnings, *(() if critique is None else critique.warnings)))
+    known = dict.fromkeys((*fit.warnings, *(critique.warnings if critique is not None else ())))
     reasons = {**fit.not_measured, **fit.without_result}
     left = [f"{axis}: {why}" for axis, why in reasons.items() if not any(why in text for text in known)]
     yield from (Text(text, "warning") for text in (*known, *left))
 
 
-def coefficients(fit: Fit) -> dict[Sensor, Table]:
+def coefficients(fit: Fit) -> list[Table]:
     """A table of each sensor's coefficients with 95 % intervals or limits, in usual units and in SI."""
-    tables = dict[Sensor, Table]()
-    for sensor, own in charts.by_sensor([r.axis for r in fit.results]):
-        results = [r for k, *_ in own if (r := fit.results[k]).converged]
+    tables = list[Table]()
+    for sensor, own in charts.by_sensor([r.axis for r in fit.results if r.converged]).items():
+        results = [fit[axis.name] for axis in own]
         found = [{c.label: c for c in r.coefficients.values() if c.term not in r.further} for r in results]
         every = {label: c for of in found for label, c in of.items()}
-        known = [label for label in dict.fromkeys((*SYMBOLS, *every)) if label in every]
-        labels = [label for label in known if label in MAIN or _shown(label, found)]
-        heads = [Cell(every[label].symbol, remark=every[label].title) for label in labels]
-        rows = [
-            [Cell(r.axis.name), *(_cell(of.get(label)) for label in labels), Cell(r.word)]
-            for r, of in zip(results, found, strict=True)
-        ]
-        if rows:
-            caption = f"Noise coefficients of the {SENSORS[sensor]} ± 1σ, with 95 % intervals below"
-            tables[sensor] = Table([Cell(SENSORS[sensor]), *heads, Cell("fit")], rows, caption)
+        known = [x for x in dict.fromkeys((*SYMBOLS, *every)) if x in every]
+        labels = [x for x in known if x in MAIN or _shown(of[x] for of in found if x in of)]
+        rows = [[_head(every[label]), *(_cell(of.get(label)) for of in found)] for label in labels]
+        heads = [SENSORS[sensor].capitalize(), *(r.axis.name for r in results)]
+        rows.append([Cell("fit"), *(Cell(r.word) for r in results)])
+        tables.append(Table([*map(Cell, heads)], rows, "± 1σ, with 95 % intervals below"))
     return tables
 
 
-def _shown(label: str, found: Sequence[Mapping[str, Estimate]]) -> bool:
+def _head(c: Estimate) -> Cell:
+    """Symbol, name and units of a coefficient."""
+    return Cell(c.symbol, remark=f"{c.title} [{c.usual_unit}]", si_remark=f"{c.title} [{c.si_unit}]")
+
+
+def _shown(every: Iterable[Estimate]) -> bool:
     """Whether a coefficient is detected on any axis."""
-    return any(of[label].held or (of[label].detected and of[label].measured) for of in found if label in of)
+    return any(c.held or (c.detected and c.measured) for c in every)
 
 
 def _cell(c: Estimate | None) -> Cell:
-    """A coefficient and its interval, in usual units and in SI."""
+    """A coefficient and its interval, in usual units and in SI, without the units."""
     if c is None:
         return Cell("–")
     (*_, text, below), (*_, si, si_below) = detail(c), detail(c, c.si_unit)
-    return Cell(text or "–", si or "–", below, si_below)
+    bare, bare_si = text.removesuffix(f" {c.usual_unit}"), si.removesuffix(f" {c.si_unit}")
+    return Cell(bare or "–", bare_si or "–", below, si_below)
 
 
 def details(fit: Fit, check: Check | None) -> Iterator[Block]:
     """Verdict of each axis, filters and lines that were fitted, how long to record, and notes."""
-    for r in fit.results:
-        if not r.converged:
-            continue
-        further = [[Cell(c.title), _cell(c)] for c in r.coefficients.values() if c.term in r.further]
-        table = [Table([Cell("further term"), Cell("value")], further)] if further else []
-        yield Fold(r.axis.name, [Text(r.story), *table])
+    for r in (r for r in fit.results if r.converged):
+        yield Text(f"{r.axis.name}: {r.story}")
+        if r.further:
+            own = (c for c in r.coefficients.values() if c.term in r.further)
+            yield Table([Cell("further term"), Cell("value")], [[_head(c), _cell(c)] for c in own])
     if check is not None:
         yield Text(f"Check: {check.summary()}.")
         lengths = [(n.coefficient.axis.name, n.coefficient.symbol, n.describe()) for n in check.lengths]
-        rows = [[Cell(text) for text in row] for row in lengths]
-        yield Fold("How long to record", [Table([Cell("axis"), Cell("coefficient"), Cell("length")], rows)])
+        rows = [[*map(Cell, row)] for row in lengths]
+        yield Fold("How long to record", [Table([*map(Cell, ("axis", "coefficient", "length"))], rows)])
     yield from (Text(f"Note: {note}", "note") for note in fit.notes)
 
 
@@ -194,12 +247,10 @@ def exports(fit: Fit) -> Iterator[Block]:
     yield Exports(texts)
 
 
-def made(fit: Fit, origin: Mapping[str, str]) -> Table:
+def made(origin: Mapping[str, str]) -> Table:
     """What is needed to make the page again."""
     known = {
         **origin,
-        "model": str(fit.template) if not fit.chosen else "chosen by evidence",
-        "objective": fit.objective,
         "made": datetime.datetime.now().astimezone().isoformat(timespec="seconds"),
         "allanjax": version("allanjax"),
         "with": ", ".join(f"{name} {version(name)}" for name in ("jax", "numpy", "scipy", "optimistix")),
@@ -219,21 +270,20 @@ def of_comparison(comparison: Comparison) -> Iterator[Section]:
     different = sum(bool(d.differs) for d in tested)
     reference = comparison.labels[comparison.reference]
     verdict = f"{different} of {len(tested)} coefficients differ from those of {reference}."
+    if not tested:
+        verdict = "Whether coefficients differ cannot be tested without their errors."
     coefficients, terms, graded, *growths = (Table.of(columns) for columns in comparison._tables())
     names = axes_of(comparison.sensors)
-    charts = [
-        Chart(SENSORS[sensor].capitalize(), views)
-        for sensor in SENSORS
-        if (views := [_view(comparison, name, sensor) for name in names if name.startswith(sensor)])
-    ]
-    yield Section("Comparison", [Text(verdict, "verdict"), Row(charts), coefficients, terms, graded])
-    yield Section("Drift and growth of errors", growths)
+    axes = [Axis(x, of, SI[of]["rate"]) for x in names for of in SENSORS if x.startswith(of)]
+    over = charts.each(axes, "{}", lambda own: [_view(comparison, axis) for axis in own])
+    yield Section("Comparison", [Text(verdict, "verdict"), Row(over), Row([coefficients, terms, graded])])
+    yield Section("Drift and growth of errors", [Row(growths)])
     yield Section("Sensors", [Text(line, "note") for line in comparison._notes()])
 
 
-def _view(comparison: Comparison, name: str, sensor: Any) -> View:
+def _view(comparison: Comparison, axis: Axis) -> View:
     """Measured deviations with intervals, and models, of all sensors on an axis."""
-    traces, axis = list[Trace](), Axis(name, sensor, SI[sensor]["rate"])
+    traces, name = list[Trace](), axis.name
     for group, one in enumerate(comparison.sensors):
         time = _TIMES
         if one.curve is not None and name in one.curve.names:
@@ -242,8 +292,7 @@ def _view(comparison: Comparison, name: str, sensor: Any) -> View:
             traces.append(Trace(group, "measured", time, one.curve.deviation[:, k], low, high))
         if one.model(name) is not None:
             traces.append(Trace(group, "model", time, one.deviation(name, time), look="line"))
-    units = (rate_unit(axis), (SI[sensor]["rate"], 1.0))
-    return View(name, "cluster time τ", "s", "σ", units=units, groups=comparison.labels, traces=traces)
+    return View(groups=comparison.labels, traces=traces, **charts.allan(axis, name))
 
 
 def of_fleet(fleet: FleetResult, pages: Mapping[str, str]) -> Iterator[Section]:
@@ -253,7 +302,8 @@ def of_fleet(fleet: FleetResult, pages: Mapping[str, str]) -> Iterator[Section]:
     style = "care" if outlying or fleet.errors else "good"
     verdict = f"{len(outlying) or 'No'} outlying unit{'' if len(outlying) == 1 else 's'}"
     blocks: list[Block] = [Text(f"{verdict}; {fleet.summary}.", f"verdict {style}")]
-    blocks += [Table.of(columns) for columns in fleet_tables(table) if sum(any(c.cells) for c in columns) > 1]
+    tables = (columns for columns in fleet_tables(table) if sum(any(c.cells) for c in columns) > 1)
+    blocks.append(Row([*map(Table.of, tables)]))
     blocks += [Text(line, "note") for line in lines_of(table)]
     blocks += [Text(note, "warning") for note in fleet.notes]
     if fleet.errors:
@@ -270,47 +320,38 @@ def _distributions(table: pd.DataFrame) -> Iterator[Chart]:
     found = table[table["detected"] & table["measured"]]
     parts: Mapping[Any, Any] = dict(iter(found.groupby(["sensor", "coefficient"], sort=False)))
     for (sensor, coefficient), of in parts.items():
-        traces, marks, axes = list[Trace](), list[Mark](), list(of["axis"].unique())
-        unit, si = of["unit"].iloc[0], unit_scale(of["unit"].iloc[0], sensor)
+        traces, marks = list[Trace](), list[Mark]()
+        unit, axes = of["unit"].iloc[0], list(of["axis"].unique())
+        si, name = unit_scale(unit, sensor), title_of(coefficient, sensor)
         for group, axis in enumerate(axes):
             own = of[of["axis"] == axis].sort_values("value")
-            share = 100.0 * (np.arange(len(own)) + 0.5) / len(own)
-            value, low, high = (own[name].to_numpy() * si for name in ("value", "lower_95", "upper_95"))
-            names, numbers = own["recording"].tolist(), range(len(own))
-            traces.append(Trace(group, "units", share, value, low, high, labels=numbers, names=names))
-            places = np.flatnonzero(own["outlying"].to_numpy()).tolist()
-            words = [f"{name} {times(ratio)}" for name, ratio in zip(names, own["ratio"], strict=True)]
-            marks += [Mark(words[k], float(share[k]), float(value[k]), group) for k in places]
-        title = f"{title_of(coefficient, sensor)}, {SENSORS[sensor]}"
-        view = View(
-            *(coefficient, "units up to this value", "%", title_of(coefficient, sensor)),
-            units=[(unit, si)],
-            groups=axes,
-            traces=traces,
-            marks=marks,
-            log="y",
-        )
-        yield Chart(title.capitalize(), [view], f"Distribution over {len(of['recording'].unique())} units.")
+            share, names = 100.0 * (np.arange(len(own)) + 0.5) / len(own), own["recording"].tolist()
+            value, low, high = (si * own[key].to_numpy() for key in ("value", "lower_95", "upper_95"))
+            traces.append(Trace(group, "units", share, value, low, high, labels=range(len(own)), names=names))
+            for k in np.flatnonzero(own["outlying"]).tolist():
+                text = f"{names[k]} {times(own['ratio'].iloc[k])}"
+                marks.append(Mark(text, float(share[k]), float(value[k]), group))
+        labels = coefficient, "units up to this value", "%", SYMBOLS.get(coefficient, "value")
+        view = View(*labels, units=[(unit, si)], groups=axes, traces=traces, marks=marks, log="y")
+        yield Chart(f"{name}, {SENSORS[sensor]}".capitalize(), [view])
 
 
 def _units(table: pd.DataFrame, pages: Mapping[str, str]) -> Units:
     """One row per unit: its coefficients, which are limits where it has a "<", and its remarks."""
     shown = table[table["measured"]]
-    known = shown[shown["coefficient"].isin(shown.loc[shown["detected"], "coefficient"])]
-    columns = list(dict.fromkeys(zip(known["coefficient"], known["axis"], known["unit"], strict=True)))
-    cells: dict[str, dict[tuple[str, str], Any]] = {}
-    fields = ("recording", "coefficient", "axis", "value", "detected", "upper_limit_95")
-    for name, coefficient, axis, value, detected, limit in zip(*(shown[f] for f in fields), strict=True):
-        below = None if limit is None or np.isnan(limit) else f"< {limit:.3g}"
-        cells.setdefault(name, {})[coefficient, axis] = float(f"{value:.4g}") if detected else below
-    rows, marked = list[list[Any]](), list[int]()
-    outlying = set(table.loc[table["outlying"], "recording"])
-    for name, texts in table.groupby("recording", sort=False)[["remarks", "warnings"]]:
-        own, unit = cells.get(str(name), {}), str(name)
-        remarks = dict.fromkeys(text for text in texts.to_numpy().ravel() if text)
-        marked += [len(rows)] if unit in outlying else []
+    known: Any = shown[shown["coefficient"].isin(shown.loc[shown["detected"], "coefficient"])]
+    columns = list(known[["coefficient", "axis", "unit"]].drop_duplicates().itertuples(index=False))
+    cells, parts = dict[Any, Any](), dict[str, dict[str, None]]()
+    for c in known.itertuples():
+        limit = None if np.isnan(c.upper_limit_95 or np.nan) else f"< {c.upper_limit_95:.3g}"
+        cells[c.recording, c.coefficient, c.axis] = float(f"{c.value:.4g}") if c.detected else limit
+    for unit, *texts in zip(*(table[key] for key in ("recording", "remarks", "warnings")), strict=True):
+        parts.setdefault(unit, {}).update(dict.fromkeys(filter(None, texts)))
+    rows = []
+    for unit, remarks in parts.items():
         first = [unit, pages[unit]] if unit in pages else unit
-        rows.append([first, *(own.get((c, axis)) for c, axis, _ in columns), "; ".join(remarks)])
-    symbols = [SYMBOLS.get(label, label.replace("_", " ")) for label, *_ in columns]
-    names = [f"{axis} {symbol} [{unit}]" for symbol, (_, axis, unit) in zip(symbols, columns, strict=True)]
-    return Units(["unit", *names, "remarks"], rows, marked)
+        rows.append([first, *(cells.get((unit, *column[:2])) for column in columns), "; ".join(remarks)])
+    heads = [f"{axis} {SYMBOLS.get(of, of.replace('_', ' '))} [{unit}]" for of, axis, unit in columns]
+    outlying = set(table.loc[table["outlying"], "recording"])
+    marked = [k for k, unit in enumerate(parts) if unit in outlying]
+    return Units(["unit", *heads, "remarks"], rows, marked)

@@ -2,40 +2,83 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from math import isfinite
+from typing import Any
 
-from allanjax.allan.deviation import rate_unit
+from allanjax.base.wording import duration, plain
 from allanjax.critic.finding import UNEXPLAINED, Finding
 from allanjax.critic.profiles import Curve, summaries
 from allanjax.critic.result import AxisCritique, Critique
 from allanjax.critic.stage import Stage
+from allanjax.estimate.result import Fit
+from allanjax.noise.estimate import title_of
 from allanjax.presentation import critique_story as story
-from allanjax.presentation.page.blocks import Block, Chart, Fold, Table, Text, Trace, View
-from allanjax.presentation.page.charts import thinned
-from allanjax.record.units import SI, rate_unit_of
-from allanjax.spectrum.psd import density_unit
+from allanjax.presentation.page.blocks import Block, Cell, Chart, Fold, Table, Text, Trace, View
+from allanjax.presentation.page.charts import allan, line, over, psd, thinned
+from allanjax.record.units import Sensor, unit_scale
 
 # Blocks of the record in the evidence of a finding, and most findings that are open at first.
 _BLOCKS, _OPEN = 300, 1
+# Causes that disturb a record; others, such as filters, are properties of the sensor.
+_DISTURBANCES = (
+    *("sinusoid", "bias_step", "outliers", "event", "disturbance", "saturation", "variance_change"),
+    *("slow_change", "warm_up", "temperature", "telegraph", "common_mode"),
+)
 
 
-def headline(critique: Critique) -> Text:
-    """How many findings there are, and what they gain."""
-    return Text(f"Critic: {story.headline(critique)}.", "note")
+def in_words(critique: Critique, fit: Fit) -> tuple[list[str], list[str]]:
+    """Disturbances that were found, and properties of the sensor, such as filters, in words."""
+    told = [
+        (f.cause in _DISTURBANCES, _told(f, critique, fit))
+        for f in critique.findings
+        if f.cause != UNEXPLAINED
+    ]
+    disturbed, also = ([text for is_one, text in told if is_one is wanted] for wanted in (True, False))
+    return disturbed, also
+
+
+def _told(finding: Finding, critique: Critique, fit: Fit) -> str:
+    """A finding as a customer reads it, e.g. "a bias step of 2.04 mg at 600 s on accel_y"."""
+    own, frequency = finding.amplitudes.get(finding.shown), finding.parameters.get("frequency")
+    axes = "all axes" if len(finding.axes) == len(critique) > 2 else story.names_of(finding.axes)
+    if finding.cause == "sinusoid" and own and frequency and fit[finding.shown].converged:
+        amplitude = own.value * unit_scale(own.unit, own.axis.sensor)
+        return line(frequency.value, axes, amplitude, fit[finding.shown])
+    name, size = finding.named(finding.cause), story.size(finding)
+    place = story.place(finding).partition(", ")[0]
+    article = "an " if name[0] in "aeiou" else "a "
+    if name.endswith(("s", "noise")):
+        article = ""
+    of = "" if size == story.NONE else f" of {size}"
+    at = f" at {place}" if place[0].isdigit() else f" ({place})"
+    return f"{article}{name}{of}{at} on {axes}"
 
 
 def findings_in_full(critique: Critique) -> Iterator[Block]:
     """The table of findings, each finding with its evidence, and what is left in each axis."""
     if causes := story.causes_of(critique.findings):
-        yield Table.of(story.findings_columns(critique, causes), "Findings, those that change most first")
+        columns = [c for c in story.findings_columns(critique, causes) if c.head != "nats"]
+        yield Table.of(columns, "Findings, those that change most first")
     for k, finding in enumerate(critique.findings):
         name = "unexplained" if finding.cause == UNEXPLAINED else finding.named(finding.cause)
         title = f"{k + 1}. {name}: {', '.join(finding.axes)}"
-        texts = [Text(story.sentence(finding))]
-        if changes := "; ".join(story.changes(finding, critique[finding.shown].axis)):
-            texts.append(Text(f"Changes: {changes}."))
-        yield Fold(title, [*texts, *_evidence(critique, finding)], is_open=k < _OPEN)
+        rows = [*_changed(finding, critique[finding.shown].axis.sensor)]
+        tables = [Table([*map(Cell, ("", "before", "after"))], rows)] if rows else []
+        blocks: list[Block] = [Text(story.sentence(finding)), *tables, *_evidence(critique, finding)]
+        yield Fold(title, blocks, is_open=k < _OPEN)
     yield from (Text(line, "note") for line in story.axis_lines(critique, brief=False))
+
+
+def _changed(finding: Finding, sensor: Sensor) -> Iterator[list[Cell]]:
+    """Coefficients and the drift of simulations before and after a finding, if these differ."""
+    changes: dict[str, Any] = {title_of(c.label, sensor): c for c in finding.coefficients}
+    if (drift := finding.drift) is not None:
+        changes[f"simulated drift over {duration(drift.horizon)}"] = drift
+    for title, c in changes.items():
+        if story.notable(c.before, c.after):
+            texts = [f"{plain(x, 3)} {c.unit}" if isfinite(x) else "none" for x in (c.before, c.after)]
+            yield [*map(Cell, (title, *texts))]
 
 
 def _evidence(critique: Critique, finding: Finding) -> Iterator[Chart]:
@@ -50,14 +93,8 @@ def _evidence(critique: Critique, finding: Finding) -> Iterator[Chart]:
     found = [summaries(stage) for _, stage in pairs]
     for _, stage in pairs:
         stage.forget()
-    unit = SI[axis.axis.sensor]["rate"]
-    kinds = (
-        (("Allan deviation σ(τ)", "cluster time τ", "s", "σ"), (rate_unit(axis.axis), (unit, 1.0))),
-        (("PSD S(f)", "frequency f", "Hz", "S"), (density_unit(axis.axis), (f"({unit})²/Hz", 1.0))),
-    )
-    views = [
-        _compared(labels, units, groups, [of[k] for of in found]) for k, (labels, units) in enumerate(kinds)
-    ]
+    kinds = enumerate((allan(axis.axis), psd(axis.axis)))
+    views = [_compared(groups, [of[k] for of in found], labels) for k, labels in kinds]
     if finding.domain == "frequency":
         views.reverse()
     elif before is not after:
@@ -65,18 +102,14 @@ def _evidence(critique: Critique, finding: Finding) -> Iterator[Chart]:
     yield Chart(f"{axis.axis.name}: record and 95 % of simulations", views)
 
 
-def _compared(
-    labels: tuple[str, str, str, str],
-    units: Sequence[tuple[str, float]],
-    groups: Sequence[str],
-    found: Sequence[Curve],
-) -> View:
+def _compared(groups: Sequence[str], found: Sequence[Curve], labels: Mapping[str, Any]) -> View:
     """Measured curves over the bands of their simulations."""
     traces = []
     for group, c in enumerate(found):
         traces.append(Trace(group, "simulated", c.place, c.median, c.low, c.high, look="line"))
-        traces.append(Trace(group, "measured", c.place, c.measured))
-    return View(*labels, units=units, groups=groups, traces=traces, interval="95 % of simulations")
+        look = "rings" if group < len(found) - 1 else "dots"
+        traces.append(Trace(group, "measured", c.place, c.measured, look=look))
+    return View(groups=groups, traces=traces, interval="95 % of simulations", **labels)
 
 
 def _effect(axis: AxisCritique, before: Stage, after: Stage) -> View:
@@ -86,8 +119,5 @@ def _effect(axis: AxisCritique, before: Stage, after: Stage) -> View:
         s = thinned(x, before.rate, _BLOCKS)
         low, high = (s.low, s.high) if group == 0 else (None, None)
         traces.append(Trace(group, "mean of blocks", s.time, s.mean, low, high, look="line"))
-    units = (rate_unit_of(axis.axis.unit, axis.axis.sensor), (SI[axis.axis.sensor]["rate"], 1.0))
-    labels = ("Over time", "time", "s", "samples − mean")
-    return View(
-        *labels, units=units, groups=["record", "effect"], traces=traces, log="", interval="least … largest"
-    )
+    more = over(axis.axis, "Over time") | {"log": "", "interval": "least … largest"}
+    return View(groups=["record", "effect"], traces=traces, **more)

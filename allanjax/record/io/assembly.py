@@ -252,7 +252,8 @@ def assemble(table: Table, name: str, options: ReadOptions) -> Recording:
     measured: Rate | None = None
     if layout.time and options.uniform:
         measured = uniform_rate(segment.times, layout.time_label, options.rate, source)
-        segment = segment._replace(times=np.arange(len(segment.times)) / measured.rate)
+        even = np.arange(len(segment.times)) / measured.rate
+        segment = segment._replace(times=even, zero=segment.begun)
     if options.gaps == "segments":
         segment, others, source, gaps = _segments(segment, source, notes)
         missing = gaps or missing
@@ -269,15 +270,22 @@ def assemble(table: Table, name: str, options: ReadOptions) -> Recording:
     assert rate is not None
     units, fill = table.units_with(options), options.gaps == "fill"
     of_segment = (segment.values, rate, layout.axes, units, segment.auxiliary, name, notes, source, jitter)
-    return build(*of_segment, fill, [other.values for other in others], missing)
+    made = build(*of_segment, fill, [other.values for other in others], missing)
+    return replace(made, begun=segment.begun)
 
 
 class _Segment(NamedTuple):
-    """Samples of a segment in the file's units, auxiliary channels, and times [s]."""
+    """Samples in the file's units, auxiliary channels, times [s], and the UNIX time of zero [s]."""
 
     values: Float[np.ndarray, "samples axes"]
     auxiliary: Mapping[str, Float[np.ndarray, " samples"]]
     times: Float[np.ndarray, " samples"]
+    zero: float | None = None
+
+    @property
+    def begun(self) -> float | None:
+        """UNIX time of its first sample [s], if it is known."""
+        return None if self.zero is None else self.zero + float(self.times[0])
 
     @property
     def interval(self) -> float:
@@ -287,7 +295,7 @@ class _Segment(NamedTuple):
     def taken(self, rows: slice | Bool[np.ndarray, " samples"]) -> "_Segment":
         """Return these rows."""
         auxiliary = {name: column[rows] for name, column in self.auxiliary.items()}
-        return _Segment(self.values[rows], auxiliary, self.times[rows])
+        return _Segment(self.values[rows], auxiliary, self.times[rows], self.zero)
 
 
 def _read(
@@ -299,10 +307,10 @@ def _read(
     notes: list[str],
 ) -> tuple[_Segment, Source]:
     """Return the rows from start to stop, without repeated ones, and their source."""
-    samples = len(columns[0])
+    samples, zero = len(columns[0]), None
     if layout.time:
         stamps = [(column, columns[column.index]) for column in layout.time]
-        times, _, time_notes = seconds_from_first(stamps, options.time_unit, rate, source)
+        times, _, time_notes, zero = seconds_from_first(stamps, options.time_unit, rate, source)
         notes += time_notes
     elif rate is None:
         raise no_rate_error(source)
@@ -323,7 +331,7 @@ def _read(
         notes.append(note)
         if numbers is not None:
             auxiliary[column.name] = numbers
-    segment = _Segment(values, auxiliary, times[rows])
+    segment = _Segment(values, auxiliary, times[rows], zero)
     if not layout.time:
         return segment, source
     kept = np.ones(len(values), bool) if options.uniform else without_repeats(values, segment.times)
@@ -572,7 +580,7 @@ def open_chunks(
     part = _PartOfFile(table, layout, options.time_unit, start, stop, chunk)
     if layout.time:
         stamps = [(column, first[column.index]) for column in layout.time]
-        seconds, unit, time_notes = seconds_from_first(stamps, options.time_unit, rate, table.source)
+        seconds, unit, time_notes, _ = seconds_from_first(stamps, options.time_unit, rate, table.source)
         notes += time_notes
         part = dataclasses.replace(part, time_unit=unit or options.time_unit)
         if all(is_numeric(first[column.index]) for column in layout.axes):

@@ -38,11 +38,15 @@ _PLAUSIBLE_RATES = (1.0, 2e4)
 
 
 class Times(NamedTuple):
-    """Times in s from the first sample; the unit of the stamps, if they are one numeric column; and notes."""
+    """Times in s from the first sample; the unit of the stamps, if they are one numeric column; and notes.
+
+    `begun` is the UNIX time of the first sample [s]; None if the stamps do not tell it.
+    """
 
     seconds: Float[np.ndarray, " samples"]
     unit: str | None
     notes: tuple[str, ...]
+    begun: float | None = None
 
 
 def seconds_from_first(
@@ -54,7 +58,7 @@ def seconds_from_first(
     """Return times in s from the first sample, from one column or from seconds and nanoseconds."""
     if len(stamps) == 2:
         parts = [_since_first(values, column.label, source) for column, values in stamps]
-        return Times(parts[0] + 1e-9 * parts[1], None, ())
+        return Times(parts[0] + 1e-9 * parts[1], None, (), _begun(float(stamps[0][1][0])))
     column, values = stamps[0]
     if values.dtype.kind == "O":
         import pandas as pd
@@ -68,7 +72,8 @@ def seconds_from_first(
             raise source.error(
                 f"column {column.label!r} has no time at {source.locate(int(missing[0]))}; repair it"
             )
-        return Times((values - values[0]) / np.timedelta64(1, "ns") * 1e-9, None, ())
+        begun = (values[0] - np.datetime64(0, "s")) / np.timedelta64(1, "s")
+        return Times((values - values[0]) / np.timedelta64(1, "ns") * 1e-9, None, (), _begun(float(begun)))
     times = _since_first(values, column.label, source)
     unit, notes = _unit(column, times, values, time_unit, rate, source)
     wrapped = int(np.count_nonzero(values[1:] < values[:-1]))
@@ -77,7 +82,12 @@ def seconds_from_first(
         notes += (
             f"column {column.label!r} starts again {again}, like a counter that overflows; it is continued",
         )
-    return Times(convert(times, unit, "s"), unit, notes)
+    return Times(convert(times, unit, "s"), unit, notes, _begun(float(values[0]) * convert(1.0, unit, "s")))
+
+
+def _begun(seconds: float) -> float | None:
+    """The time of the first stamp if it is a UNIX time, as of a clock that was set."""
+    return seconds if _UNIX_SECONDS[0] < seconds < _UNIX_SECONDS[1] else None
 
 
 class Rate(NamedTuple):

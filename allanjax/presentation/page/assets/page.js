@@ -4,6 +4,8 @@
   const charts = JSON.parse(document.getElementById("data").textContent);
   const root = document.documentElement;
   const SUPERSCRIPT = "⁰¹²³⁴⁵⁶⁷⁸⁹";
+  // Width of a chart on paper, where two are side by side.
+  const PAPER = 345;
   let si = false, onPaper = false;
 
   function make(tag, attributes, ...children) {
@@ -58,6 +60,12 @@
 
   const css = name => getComputedStyle(root).getPropertyValue(name).trim();
   const colour = k => css(`--c${k % 6}`);
+  // Text that is readable on a curve, too.
+  const halo = (context, text, x, y) => {
+    Object.assign(context, {strokeStyle: css("--paper"), lineWidth: 4 * uPlot.pxRatio, lineJoin: "round"});
+    context.strokeText(text, x, y);
+    context.fillText(text, x, y);
+  };
   const faint = (c, alpha) => `color-mix(in srgb, ${c} ${100 * alpha}%, transparent)`;
 
   // --- One chart -------------------------------------------------------------------------------------------
@@ -68,20 +76,27 @@
       this.data = data;
       this.plot = figure.querySelector(".plot");
       this.view = data.views[0];
-      this.shown = new Set(this.view.groups.keys());
+      // The last of them is chosen, so at first the first one.
+      this.shown = new Set([...this.view.groups.keys()].reverse());
       this.hidden = new Set(this.view.hidden);
       this.controls = make("div", {className: "controls", role: "group", "aria-label": `What ${data.title} shows`});
       this.readout = make("div", {className: "readout", "aria-live": "polite"});
       figure.insertBefore(this.controls, this.plot);
+      this.whole = make("button", {type: "button", className: "tools", textContent: "Whole range", onclick: () => { this.zoom = null; this.draw(); }});
+      figure.querySelector("figcaption").append(this.whole, make("button", {type: "button", className: "copy", textContent: "Copy CSV", onclick: event => copy(event.target, this.csv())}));
       figure.append(this.readout);
       if (data.slider) this.addSlider();
       this.plot.addEventListener("keydown", event => this.key(event));
       this.fillControls();
     }
 
+    get chosen() {
+      return [...this.shown].at(-1);
+    }
+
     fillControls() {
       const button = (text, pressed, act, kind) => make("button", {type: "button", className: kind || "", textContent: text, "aria-pressed": String(pressed), onclick: act});
-      const {views} = this.data, {groups, traces, marks, spans} = this.view;
+      const {views} = this.data, {groups, traces, marks, spans, single} = this.view;
       this.controls.replaceChildren();
       if (views.length > 1) for (const view of views) {
         this.controls.append(button(view.name, view === this.view, () => { this.view = view; this.zoom = null; this.hidden = new Set(view.hidden); this.update(); }, "view"));
@@ -93,10 +108,11 @@
       });
       const layers = [...new Set(traces.map(t => t.layer)), ...(marks.length || spans.length ? ["marks"] : [])];
       if (layers.length > 1) for (const layer of layers) {
-        this.controls.append(button(layer, !this.hidden.has(layer), () => { this.toggle(this.hidden, layer); }, "layer"));
+        const b = button(layer, !this.hidden.has(layer), () => { this.toggle(this.hidden, layer); }, "layer");
+        b.dataset.look = traces.find(t => t.layer === layer)?.look || "marks";
+        if (single && layer === "marks" && this.shown.size) Object.assign(b, {title: `of ${groups[this.chosen]}`}).style.color = colour(this.chosen);
+        this.controls.append(b);
       }
-      this.controls.append(make("button", {type: "button", className: "reset", textContent: "Whole range", onclick: () => { this.zoom = null; this.draw(); }}));
-      this.controls.append(make("button", {type: "button", className: "copy", textContent: "Copy CSV", onclick: event => copy(event.target, this.csv())}));
     }
 
     toggle(set, item) {
@@ -121,15 +137,16 @@
     }
 
     draw() {
-      const view = this.view, [unit, size] = this.unit(), width = onPaper ? 680 : Math.max(this.plot.clientWidth, 240);
+      const view = this.view, [unit, size] = this.unit(), width = onPaper ? PAPER : Math.max(this.plot.clientWidth, 240);
       const logs = {x: view.log.includes("x"), y: view.log.includes("y")};
       const safe = v => v == null || (logs.y && v <= 0) ? null : v / size;
       const tables = [], series = [{}], bands = [];
       this.drawn = this.traces();
+      this.whole.hidden = !this.zoom;
       for (const trace of this.drawn) {
-        const c = colour(trace.group), dots = trace.look === "dots";
+        const c = colour(trace.group), rings = trace.look === "rings", dots = rings || trace.look === "dots";
         const table = [trace.x, trace.y.map(safe)];
-        const line = {stroke: c, width: dots ? 0 : trace.look === "line" ? 1.6 : 1, spanGaps: true, dash: trace.look === "dashes" ? [5, 4] : [], points: {show: dots, size: 5, fill: c, stroke: c}};
+        const line = {stroke: c, width: dots ? 0 : trace.look === "line" ? 1.6 : 1, spanGaps: true, dash: trace.look === "dashes" ? [5, 4] : [], points: {show: dots, size: rings ? 9 : 5, fill: rings ? "transparent" : c, stroke: c}};
         if (dots) line.paths = () => null;
         trace.index = series.length;
         series.push(line);
@@ -145,14 +162,14 @@
       const ink = css("--ink"), grid = {stroke: css("--line"), width: 1}, font = "12px system-ui, sans-serif";
       const range = log => (u, min, max) => min == null ? (log ? [1, 10] : [0, 1]) : log ? [min / 1.25, max * 1.25] : [min - 0.04 * (max - min || 1), max + 0.04 * (max - min || 1)];
       // Marks within a factor of thirty of the curves are on the chart.
-      const marked = this.hidden.has("marks") ? [] : view.marks.filter(m => m.y != null && (m.group == null || this.shown.has(m.group))).map(m => m.y / size);
+      const marked = this.marks().filter(m => m.y != null).map(m => m.y / size);
       const near = (u, min, max) => range(logs.y)(u, ...(min == null ? [min, max] : [Math.min(min, ...marked.filter(y => y > min / 30)), Math.max(max, ...marked.filter(y => y < max * 30))]));
-      const axis = (label, log, more) => ({label, stroke: ink, grid, ticks: grid, font, labelFont: font, ...(log ? {splits: decades, filter: (u, v) => v} : {}), values: (u, splits) => splits.map(tick), ...more});
+      const axis = (label, log, more) => ({label, stroke: ink, grid, ticks: grid, font, labelFont: font, labelSize: 20, ...(log ? {splits: decades, filter: (u, v) => v} : {}), values: (u, splits) => splits.map(tick), ...more});
       this.chart?.destroy();
       this.chart = new uPlot({
-        width, height: Math.max(260, Math.min(440, 0.55 * width)), pxAlign: 0,
+        width, height: onPaper ? 0.6 * PAPER : Math.max(260, Math.min(440, 0.5 * width)), pxAlign: 0,
         scales: {x: {time: false, distr: logs.x ? 3 : 1, range: range(logs.x)}, y: {distr: logs.y ? 3 : 1, range: near}},
-        axes: [axis(`${view.x} [${view.x_unit}]`, logs.x, {}), axis(unit ? `${view.y} [${unit}]` : view.y, logs.y, {size: 74})],
+        axes: [axis(`${view.x} [${view.x_unit}]`, logs.x, {size: 32}), axis(unit ? `${view.y} [${unit}]` : view.y, logs.y, {size: 62})],
         series, bands, legend: {show: false},
         cursor: {drag: {x: true, y: true, uni: 40}, points: {show: false}},
         hooks: {setCursor: [u => this.hover(u)], draw: [u => this.annotate(u)], setSelect: [u => this.selected(u)], drawClear: [u => this.shade(u)]},
@@ -162,10 +179,13 @@
 
     selected(u) {
       const {left, top, width, height} = u.select;
-      if (width > 2 && height > 2) this.zoom = {x: [u.posToVal(left, "x"), u.posToVal(left + width, "x")], y: [u.posToVal(top + height, "y"), u.posToVal(top, "y")], unit: this.unit()[1]};
+      if (width < 3 || height < 3) return;
+      this.whole.hidden = false;
+      this.zoom = {x: [u.posToVal(left, "x"), u.posToVal(left + width, "x")], y: [u.posToVal(top + height, "y"), u.posToVal(top, "y")], unit: this.unit()[1]};
     }
 
     apply(zoom) {
+      this.whole.hidden = false;
       const scale = zoom.unit / this.unit()[1];
       this.chart.setScale("x", {min: zoom.x[0], max: zoom.x[1]});
       if (zoom.y) this.chart.setScale("y", {min: zoom.y[0] * scale, max: zoom.y[1] * scale});
@@ -182,12 +202,11 @@
       const view = this.view, [unit, size] = this.unit(), log = view.log.includes("x");
       const distance = v => Math.abs(log ? Math.log(v / x) : v - x);
       const nearest = t => t.x.reduce((best, v, k) => distance(v) < distance(t.x[best]) ? k : best, 0);
-      const main = this.drawn.filter(t => t.look === "dots" && t.x.length);
-      const first = main[0] || this.drawn.find(t => t.x.length);
+      const first = this.drawn.find(t => t.look === "dots" && t.x.length) || this.drawn.find(t => t.x.length);
       if (!first) return;
       const at = first.x[nearest(first)];
       const lines = [make("div", {}, `${view.x} = ${number(at, 4)} ${view.x_unit}`)];
-      for (const group of this.shown) {
+      for (const group of [...this.shown].sort()) {
         const own = this.drawn.filter(t => t.group === group && t.layer !== "terms" && t.x.length);
         own.sort((a, b) => (b.look === "dots") - (a.look === "dots"));
         if (!own.length) continue;
@@ -261,13 +280,18 @@
       context.restore();
     }
 
+    marks() {
+      const {marks, single} = this.view;
+      return this.hidden.has("marks") ? [] : marks.filter(m => m.group == null || (single ? m.group === this.chosen : this.shown.has(m.group)));
+    }
+
     spans() {
       return this.hidden.has("marks") ? [] : this.view.spans.filter(span => span.group == null || this.shown.has(span.group));
     }
 
-    // Spans as named bars, one above another where they overlap.
+    // Spans as named bars, one above another where they overlap; returns where their names are.
     bars(u) {
-      const context = u.ctx, ratio = uPlot.pxRatio, {left, top, width, height} = u.bbox, ends = [];
+      const context = u.ctx, ratio = uPlot.pxRatio, {left, top, width, height} = u.bbox, ends = [], taken = [];
       context.fillStyle = css("--care");
       for (const span of this.spans()) {
         const a = Math.max(u.valToPos(span.start, "x", true), left), b = Math.min(u.valToPos(span.stop, "x", true), left + width);
@@ -279,14 +303,14 @@
         const y = top + height - (5 + 15 * row) * ratio;
         if (y < top + 0.4 * height) continue;
         context.fillRect(a, y, Math.max(b - a, 2 * ratio), 2.5 * ratio);
-        context.fillText(span.text, x, y - 3 * ratio);
+        halo(context, span.text, x, y - 3 * ratio);
+        taken.push([x, x + w, y - 16 * ratio, y]);
       }
+      return taken;
     }
 
     annotate(u) {
-      if (this.hidden.has("marks")) return;
       const context = u.ctx, ratio = uPlot.pxRatio, {left, top, width, height} = u.bbox, size = this.unit()[1];
-      const taken = [];
       context.save();
       context.beginPath();
       context.rect(left, top, width, height);
@@ -294,6 +318,7 @@
       context.font = `${11 * ratio}px system-ui, sans-serif`;
       context.textAlign = "left";
       context.textBaseline = "alphabetic";
+      const taken = this.bars(u);
       // Texts are left out where they would cover one another.
       const write = (text, x, y) => {
         const w = context.measureText(text).width, h = 13 * ratio;
@@ -303,15 +328,11 @@
           if (row < top + h || row > top + height - 3 * ratio) continue;
           if (taken.some(([a, b, c, d]) => start < b && start + w > a && row - h < d && row > c)) continue;
           taken.push([start, start + w, row - h, row]);
-          // Readable on a curve, too.
-          Object.assign(context, {strokeStyle: css("--paper"), lineWidth: 2 * ratio, lineJoin: "round"});
-          context.strokeText(text, start, row);
-          context.fillText(text, start, row);
+          halo(context, text, start, row);
           return;
         }
       };
-      for (const mark of this.view.marks) {
-        if (mark.group != null && !this.shown.has(mark.group)) continue;
+      for (const mark of this.marks()) {
         const x = u.valToPos(mark.x, "x", true), ink = mark.group == null ? css("--ink") : colour(mark.group);
         if (x < left || x > left + width) continue;
         context.strokeStyle = context.fillStyle = ink;
@@ -330,7 +351,6 @@
           write(mark.text, x + 8 * ratio, y - 4 * ratio);
         }
       }
-      this.bars(u);
       context.restore();
     }
 
@@ -429,9 +449,8 @@
   }
   let resized;
   addEventListener("resize", () => { clearTimeout(resized); resized = setTimeout(redraw, 150); });
-  // On paper everything is shown, on white.
+  // On paper charts are small, and on white.
   addEventListener("beforeprint", () => {
-    for (const details of document.querySelectorAll("details")) details.open = true;
     onPaper = true;
     setTheme(false);
     figures.forEach(draw);
