@@ -15,9 +15,9 @@ and the normal interval where the values lie closer than these. An upper limit o
 of a lower Q is 5 % of that without scatter, F(Q(τ)) = 0.05·F(Q(0)) (Read 2002, J. Phys. G 28:2693): it is
 not below what the errors allow.
 
-Squares of amplitudes that few clusters determine have skewed errors, in proportion to what is measured. Q and
-the errors of μ are then those of simulated values, with gamma errors of this skewness and normal scatter; of
-values that lie close, those of the draws that lie as close.
+Squares of amplitudes that few clusters determine have skewed errors, in proportion to an unknown power. The
+laws of Q and of t are then those of simulated values, with gamma errors of this skewness and normal scatter;
+t counts the error of μ by τ and s_r, which makes intervals of two or three values too long.
 """
 
 from __future__ import annotations
@@ -144,14 +144,14 @@ class Laws:
         self.s = s if s.all() else np.full(len(x), 1e-9 * float(np.ptp(x) or abs(x).max() or 1.0))
         if not np.ptp(x):
             self.x = x + 1e-6 * self.s * (-1.0) ** np.arange(len(x))
-        self.skewness = np.maximum(0.0 if skewness is None else skewness, _SKEWED)
-        self.normal = not np.any(self.skewness > _SKEWED)
+        self.skewness = np.zeros(len(x)) if skewness is None else skewness
+        self.normal = not np.any(abs(self.skewness) > _SKEWED)
 
     @functools.cached_property
     def _drawn(self) -> tuple[Float[np.ndarray, "draws k"], Float[np.ndarray, "draws k"]]:
         """Errors of this skewness and normal scatter, both of unit variance."""
         rng, size = np.random.default_rng(0), (_DRAWS, len(self.x))
-        shape = 4.0 / np.broadcast_to(self.skewness, len(self.x)) ** 2
+        shape = 4.0 / np.maximum(self.skewness, _SKEWED) ** 2
         return (rng.standard_gamma(shape, size) - shape) / np.sqrt(shape), rng.standard_normal(size)
 
     def fitted(self, variance: Any, x: _Sets | None = None) -> Weighted:
@@ -200,18 +200,9 @@ class Laws:
 
         return float(gammainc(0.5 * self.dof, 0.5 * q))
 
-    @functools.cached_property
-    def _at_own(self) -> tuple[Any, Any]:
-        """Variances of the scatter and errors of the mean that simulated values have at the own Q."""
-        variance = self._solved(lambda v: self.fitted(v, self.simulated(v)).q, np.zeros(_DRAWS))
-        drawn = self.fitted(variance, self.simulated(variance))
-        none, error = np.flatnonzero(variance == 0.0), drawn.mean
-        # Skewed errors of a mean depend on Q: those with nearly the own one count.
-        near = none[np.argsort(drawn.q[none])][: 1 + len(none) // 10]
-        error[none] = np.resize(error[near], len(none))
-        # Gamma errors are in proportion to what is measured and noise together, of this size.
-        size = self.fitted(variance, 2.0 * self.s / self.skewness).mean
-        return variance, error / (1.0 + error / size)
+    def _simulated_q(self, p: float, variance: float) -> float:
+        """Quantile of Q at a scatter, for simulated errors."""
+        return float(np.quantile(self.fitted(variance, self.simulated(variance)).q, p))
 
     def mean_quantiles(self, p: Sequence[float]) -> list[float]:
         """Quantiles of the common value."""
@@ -219,8 +210,10 @@ class Laws:
         from scipy.special import ndtr
 
         if not self.normal:
-            variance, error = self._at_own
-            return np.quantile(self.fitted(variance).mean - error, p).tolist()
+            variance = self.scatter()
+            at, drawn = self.fitted(variance), self.fitted(variance, self.simulated(variance))
+            distance = drawn.mean / np.sqrt(drawn.q / self.dof)
+            return (at.mean - np.quantile(distance, 1.0 - np.array(p))).tolist()
         below = self._below(self.fitted(0.0).q)
         weights = np.append(below * _WEIGHTS, 1.0 - below)
         variance = np.append(self.scatter(quantile(below * _NODES, self.dof)), 0.0)
@@ -242,14 +235,23 @@ class Laws:
         allowed = quantile(p * self._below(at), self.dof) * own / at
         ends = self.scatter(np.array([quantile(1.0 - p, self.dof), allowed]))
         if not self.normal:
-            drawn, _ = self._at_own
-            low, high = np.quantile(drawn, [p, 1.0 - p * np.mean(drawn > 0.0)])
+            low, high = (
+                self._solved(functools.partial(self._simulated_q, each), 0.0) for each in (1.0 - p, p)
+            )
             ends = low, max(high, ends[1])
         low, high = np.sqrt(ends)
         return float(low), float(high)
 
-    def odd_one(self) -> tuple[int, float]:
+    def odd_one(self, variance: float) -> tuple[int, float]:
         """Index of the value that differs most from the others, and the probability that one of them does."""
+        if not self.normal:
+            # The largest distance from the mean, as in Grubbs' test.
+            def distance(x: _Sets) -> Any:
+                at = self.fitted(variance, x)
+                return (x - at.mean[..., None]) ** 2 / (self.s**2 + variance) / at.q[..., None]
+
+            own, drawn = distance(self.x), distance(self.simulated(variance)).max(axis=-1)
+            return int(np.argmax(own)), float((1 + np.sum(drawn >= own.max())) / (1 + _DRAWS))
         from scipy.special import stdtr
 
         chances = []
@@ -299,7 +301,7 @@ def random_effects(
     variance = laws.scatter()
     at = laws.fitted(variance)
     low, high, low_68, high_68, limit = laws.mean_quantiles([0.025, 0.975, 0.16, 0.84, 0.95])
-    odd, chance = laws.odd_one() if len(x) > 2 else (-1, float("nan"))
+    odd, chance = laws.odd_one(variance) if len(x) > 2 else (-1, float("nan"))
     return RandomEffects(
         names=called,
         values=x,

@@ -1,8 +1,7 @@
 """Do the intervals of `random_effects` cover where a few values happen to lie close?
 
-Values of a common value with known errors (all 1; from 0.5 to 2, geometric; or skewed: gamma variates about
-the common value, of skewness 1.5, with errors of 0.75 times the mean value, as of the square of an amplitude)
-and a normal scatter, in units of the error at the common value. Lower half: the draws whose Q at the true
+Values of a common value of zero, with known errors (all 1; or from 0.5 to 2, geometric; or gamma errors of
+skewness 1.5) and a normal scatter, in units of the mean error. Lower half: the draws whose Q at the true
 scatter is below its median, which seem more certain than they are. Given are the shares of draws whose 95 %
 interval holds the common value, in all draws and in that half; in that half also by Hartung & Knapp's factor,
 and by the same never below one (Röver, Knapp & Friede 2015), both with Student's t; then the median length of
@@ -60,9 +59,6 @@ def covered(kind: str, k: int, tau: float, draws: int, rng: np.random.Generator)
     s = np.geomspace(0.5, 2.0, k) if kind == "unequal" else np.ones(k)
     x = errors(kind, (draws, k), rng) * s + tau * rng.standard_normal((draws, k))
     mean, q = weighted(x, s, 0.0)
-    # Errors in proportion to the mean; the common value is 2/skewness.
-    by = np.maximum(1.0 + mean * SKEWNESS / 2.0, 1e-3) if kind == "skewed" else np.ones(draws)
-    q = q / by**2
     at_true = weighted(x, s, tau)[1]
     lower = at_true < np.median(at_true)
     if k == 2 or kind != "unequal":
@@ -70,20 +66,16 @@ def covered(kind: str, k: int, tau: float, draws: int, rng: np.random.Generator)
     else:
         parts = np.array_split(x, PARTS)
         found = Found(*np.concatenate(run_tasks(several, [(part, s) for part in parts])).T)
-    is_in = (mean + by * found.low < 0.0) & (mean + by * found.high > 0.0)
+    is_in = (mean + found.low < 0.0) & (mean + found.high > 0.0)
     w = 1.0 / (s**2 + found.scatter[:, None] ** 2)
     by_tau = (w * x).sum(axis=1) / w.sum(axis=1)
     factor = np.sqrt(np.where(found.scatter > 0.0, 1.0, q / (k - 1)))
     t = stats.t.ppf(0.975, k - 1)
-    plain, modified = (abs(by_tau) < by * t * found.std * f for f in (factor, np.maximum(factor, 1.0)))
+    plain, modified = (abs(by_tau) < t * found.std * f for f in (factor, np.maximum(factor, 1.0)))
     best = 2.0 * stats.norm.ppf(0.975) / np.sqrt(np.sum(1.0 / (s**2 + tau**2)))
     shares = [is_in, is_in[lower], plain[lower], modified[lower]]
-    length = f"{np.median(by * (found.high - found.low)) / best:.2f}"
-    return [
-        *(f"{np.mean(hits):.3f}" for hits in shares),
-        length,
-        f"{np.mean((by * found.limit)[lower] >= tau):.3f}",
-    ]
+    length = f"{np.median(found.high - found.low) / best:.2f}"
+    return [*(f"{np.mean(hits):.3f}" for hits in shares), length, f"{np.mean(found.limit[lower] >= tau):.3f}"]
 
 
 def errors(kind: str, size: tuple[int, int], rng: np.random.Generator) -> np.ndarray:
