@@ -223,6 +223,11 @@ class AxisFit(ByValue, AxisEstimates):
         return tuple(label for label in there if label != white or white in self.model.term_labels)
 
     @property
+    def lacking(self) -> tuple[str, ...]:
+        """B and K where only white noise and quantization were fitted, which tell nothing of a drift."""
+        return () if {c.symbol for c in self.coefficients.values()} - {"N", "Q"} else ("B", "K")
+
+    @property
     def measured(self) -> bool:
         """Whether the coefficients are a measurement of the sensor, according to the facts and the misfit."""
         return self.converged and not self.not_measured and not self.is_far_off

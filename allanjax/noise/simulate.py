@@ -18,7 +18,7 @@ from jaxtyping import Array, Float, PRNGKeyArray
 
 from allanjax.base.equality import ByValue
 from allanjax.base.errors import AllanjaxError, RecordingError
-from allanjax.noise.datasheet import DataSheet
+from allanjax.noise.datasheet import NOT_GIVEN, DataSheet
 from allanjax.noise.model import Model
 from allanjax.noise.notation import ModelLike, as_model, term_classes
 from allanjax.noise.terms import NoiseTerm
@@ -90,7 +90,13 @@ def simulate_recording(
         RecordingError: a name that is no axis, fewer than 16 samples, or a channel of another length.
         UnitError: a unit that does not fit the sensor.
     """
-    models = models.of_axes() if isinstance(models, DataSheet) else models
+    lacking: list[str] = []
+    if isinstance(models, DataSheet):
+        for sensor in models.models:
+            absent = " and ".join(models.lacking(sensor))
+            if absent:
+                lacking.append(f"{sensor}: without {absent}, {NOT_GIVEN} by the data sheet")
+        models = models.of_axes()
     if not models:
         raise AllanjaxError('no axis to simulate; give models, e.g. {"gyro_x": AngleRandomWalk(1e-4)}')
     bias = bias or {}
@@ -132,7 +138,7 @@ def simulate_recording(
         dataclasses.replace(axis, unit=parse_sample_unit(own[axis.sensor], axis.sensor).name)
         for axis in recording.axes
     )
-    return dataclasses.replace(recording, axes=tuple(axes), notes=("simulated", *left_out))
+    return dataclasses.replace(recording, axes=tuple(axes), notes=("simulated", *lacking, *left_out))
 
 
 @eqx.filter_jit

@@ -76,8 +76,10 @@ def plot_allan(
     if not isinstance(data, Fit | AllanDeviation | Recording) and isinstance(data, Sequence):
         return _plot_several(data, axes, path, labels, ax)
     if isinstance(data, DataSheet):
-        heading = Heading(data.name, "from its data sheet", [draw.model_entry()])
         sheet, sensors = data, [*data.models]
+        look = _line_of_sheet(sheet, sensors)
+        look["label"] += f": {draw.LEAST_KNOWN}" if "linestyle" in look else ""
+        heading = Heading(data.name, "from its data sheet", [draw.line_entry(**look)])
         rows = [[k] for k in draw.rows_of(sensors, None, axes)[0]]
         panel_of = lambda k: _panel_of_sheet(sheet, sensors[k])  # noqa: E731
         return draw.draw_panels(heading, draw.CLUSTER_TIME, rows, panel_of, path, ax)
@@ -177,6 +179,11 @@ def residual(fit: Fit, k: int) -> Residual:
     return Residual(points, edf > 0.5 / draw.PRECISE**2, 100.0 * chance)
 
 
+def _line_of_sheet(sheet: DataSheet, sensors: Sequence[Sensor]) -> dict[str, Any]:
+    """Style of a data sheet's sum of terms, which is a lower bound if not all of N, B and K are given."""
+    return draw.model_line() | (draw.AT_LEAST if any(map(sheet.lacking, sensors)) else {})
+
+
 def _panel_of_sheet(sheet: DataSheet, sensor: Sensor) -> Panel:
     """Expected Allan deviation of a sensor by its data sheet, and that of its terms."""
     coefficients, model = sheet.coefficients(sensor), sheet[sensor]
@@ -189,7 +196,7 @@ def _panel_of_sheet(sheet: DataSheet, sensor: Sensor) -> Panel:
 
     def fill(panel: Axes) -> None:
         lines = [panel.plot(time, y, **look)[0] for y, look in zip(curves, styles, strict=True)]
-        (sum_line,) = panel.plot(time, total, **draw.model_line())
+        (sum_line,) = panel.plot(time, total, **_line_of_sheet(sheet, [sensor]))
         _draw_slopes(panel)
         _write_values(panel, coefficients, dict(zip(coefficients, lines, strict=True)), sum_line)
 
@@ -383,7 +390,7 @@ def _panel_of_sensors(comparison: Comparison, axis: Axis) -> Panel:
         if (model := one.model(axis.name)) is not None:
             time = one.curve.cluster_time if has_curve and one.curve is not None else _TIMES_OF_MODEL
             if lacking:
-                look |= {"linestyle": ":"}
+                look |= draw.AT_LEAST
             lines.append((time, one.deviation(axis.name, time) / scale, look))
         if model is not None or has_curve:
             known = [c for c in one.of(axis.name).values() if c.is_amplitude and (c.detected or c.held)]

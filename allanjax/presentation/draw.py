@@ -81,6 +81,11 @@ def model_line(label: str = "model") -> dict[str, Any]:
     return {"color": ink(), "linewidth": 1.4, "label": label, "zorder": 2.5}
 
 
+#: How a lower bound is drawn, and what the key says of it.
+AT_LEAST = {"linestyle": ":"}
+LEAST_KNOWN = "at least this, as not all of N, B and K are given"
+
+
 def model_band() -> dict[str, Any]:
     """Style of the interval of a model's line."""
     return {"color": ink(0.85), "linewidth": 0.0, "label": "model, 95 %", "zorder": 1.5}
