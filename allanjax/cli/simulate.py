@@ -1,6 +1,7 @@
 """The commands that need no recording: `allanjax simulate`, `demo` and `convert`."""
 
 import math
+import sys
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path

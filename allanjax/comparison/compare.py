@@ -57,9 +57,12 @@ if TYPE_CHECKING:
 HORIZONS, LEVEL = (60.0, 600.0, 3600.0), 0.05
 # Short names of quantities without a symbol.
 _SHORT = {LEAST: "min σ"}
+# Coefficients that every sensor has, and which of N, B and K they are or follow from.
+_WANTED = {**USUAL, LEAST: "B"}
 _GRADES = ("grade of", "sensor", "by random walk", "by drift")
-# Longest time of a drift as a multiple of the record; nodes of the mean over a normal law.
-_BEYOND = 3.0
+# Longest time of an error as a multiple of the record, and what stands for longer ones; nodes of the mean
+# over a normal law.
+_BEYOND, _TOO_SHORT = 3.0, "record too short"
 _NODES = 40
 
 
@@ -89,20 +92,10 @@ class Compared(NamedTuple):
     rate: float
     curve: AllanDeviation | None = None
 
-    @property
-    def longest(self) -> float:
-        """Longest time [s] of a drift that the record tells of; infinite for what is given."""
-        return math.inf if self.curve is None else _BEYOND * self.curve.n / self.curve.rate
-
-    def lacking(self, name: str) -> list[str]:
-        """Which of N, B and K a data sheet does not give for an axis, or what an error grows from."""
-        if not isinstance(self.noise, DataSheet):
-            return []
-        kinds = (
-            SENSORS if name == "position" else ("gyro",) if name == "heading" else (name.partition("_")[0],)
-        )
-        models = [model for kind, model in self.noise.models.items() if kind in kinds]
-        return [symbol for label, symbol in USUAL.items() if any(label not in m.term_labels for m in models)]
+    def lacking(self, axis: str) -> list[str]:
+        """Which of N, B and K a data sheet or the terms of a fit do not give; a preset is complete."""
+        known = USUAL if isinstance(self.noise, dict) else self.of(axis) or USUAL
+        return [symbol for label, symbol in USUAL.items() if label not in known]
 
     @property
     def rate_of_models(self) -> float | None:
@@ -341,8 +334,8 @@ class Row(NamedTuple):
         return SYMBOLS.get(self.label) or _SHORT.get(self.label) or title_of(self.label, self.sensor)
 
     def is_lacking(self, one: Compared) -> bool:
-        """Whether a data sheet should have the coefficient, or what it follows from, and has not."""
-        return ("B" if self.label == LEAST else self.symbol) in one.lacking(self.axis)
+        """Whether N, B or K, or what the coefficient follows from, is not given for a sensor."""
+        return _WANTED.get(self.label) in one.lacking(self.axis)
 
     def cells(self, sensors: Sequence[Compared]) -> Iterator[tuple[str, ...]]:
         """Row of the printed table for each sensor that has the coefficient, or should have it."""
@@ -357,10 +350,12 @@ class Growth(NamedTuple):
 
     Attributes:
         sensor: number of the sensor in the comparison.
-        name: an axis, "heading" or "position".
-        value, lower, upper: at each horizon; the ends are nan for what is taken as exact. The value is nan
-            beyond three times the record, and if a data sheet gives neither B nor K.
-        is_bound: whether the value is a lower bound, as a data sheet does not give all of N, B and K.
+        name: an axis, whose error is that of the integrated rate; or "heading" or "position", the errors of a
+            navigator at rest, see `navigate`.
+        value, lower, upper: at each horizon; the ends are nan for what is taken as exact.
+        is_bound: whether the value is a lower bound, as not all of N, B and K are given.
+        reasons: why there is no value: it is beyond three times the record, or neither B nor K is given for
+            the axis; "" where there is.
     """
 
     sensor: int
@@ -368,23 +363,22 @@ class Growth(NamedTuple):
     value: Float[np.ndarray, " t"]
     lower: Float[np.ndarray, " t"]
     upper: Float[np.ndarray, " t"]
-    is_bound: bool = False
+    is_bound: bool
+    reasons: tuple[str, ...]
 
-    def known_of(self, one: Compared) -> Growth:
-        """As much of it as is known of the sensor."""
-        lacking = {*one.lacking(self.name)}
-        known = (np.array(HORIZONS) <= one.longest) & (not {"B", "K"} <= lacking)
-        value, lower, upper = (np.where(known, x, np.nan) for x in (self.value, self.lower, self.upper))
-        return self._replace(value=value, lower=lower, upper=upper, is_bound=bool(lacking))
+    @property
+    def place(self) -> int:
+        """Place of its kind among those of `SHOWN`."""
+        return next(k for k, begin in enumerate(SHOWN) if self.name.startswith(begin))
 
     def cells(self) -> Iterator[str]:
         """Values with their intervals and units."""
-        unit, size = next(unit for begin, unit in SHOWN.items() if self.name.startswith(begin))
-        for value, low, high in zip(self.value, self.lower, self.upper, strict=True):
+        unit, size = [*SHOWN.values()][self.place]
+        for value, low, high, why in zip(self.value, self.lower, self.upper, self.reasons, strict=True):
             to, by = ("km", 1e3) if unit == "m" and value > 1e5 else (unit, size)
-            ends = f" ({format_range(low / by, high / by)})" if np.isfinite(low) else ""
+            ends = f" ({format_range(low / by, high / by)})" if np.isfinite(high) else ""
             least = "≥ " if self.is_bound else ""
-            yield NOT_GIVEN if np.isnan(value) else f"{least}{significant(value / by)}{ends} {to}"
+            yield why or f"{least}{significant(value / by)}{ends} {to}"
 
 
 @dataclasses.dataclass(frozen=True, eq=False, repr=False)
@@ -402,24 +396,11 @@ class Comparison(ByValue, Tabled):
     rows: tuple[Row, ...]
 
     @functools.cached_property
-    def drifts(self) -> tuple[Growth, ...]:
-        """Predicted error of the integrated rate of each axis after the `HORIZONS`."""
-        found = []
-        for k, one in enumerate(self.sensors):
-            if one.noise is not None:
-                own = sensors_of(one.noise, one.rate_of_models, 0)
-                each = own.axes.items()
-                drifts = [Growth(k, name, *drift(own, noise, np.array(HORIZONS))) for name, noise in each]
-                found += [g.known_of(one) for g in drifts]
-        # Of a data sheet, the drift of any axis stands below those of the axes.
-        found.sort(key=lambda g: (g.name.partition("_")[0] != "gyro", "_" not in g.name, g.name))
-        return tuple(found)
-
-    @functools.cached_property
     def growths(self) -> tuple[Growth, ...]:
-        """Heading and position errors of a navigator at rest after the `HORIZONS`, see `navigate`."""
-        every = (g.known_of(one) for k, one in enumerate(self.sensors) for g in _growths(k, one))
-        return tuple(sorted(every, key=lambda g: g.name))
+        """Errors after the `HORIZONS`: of each axis's integrated rate, and of a navigator at rest."""
+        every = (g for k, one in enumerate(self.sensors) for g in _growths(k, one))
+        # Of a data sheet, the drift of any axis stands below those of the axes.
+        return tuple(sorted(every, key=lambda g: (g.place, "_" not in g.name, g.name)))
 
     @property
     def labels(self) -> tuple[str, ...]:
@@ -446,7 +427,8 @@ class Comparison(ByValue, Tabled):
                 if c is not None or row.is_lacking(one):
                     ratio, (low, high) = (math.nan, (math.nan,) * 2) if d is None else (d.ratio, d.interval)
                     own = {"coefficient": row.label, "value": math.nan} if c is None else c.row()
-                    own |= {"axis": row.axis, "sensor": one.label, "given": c is not None, "ratio": ratio}
+                    reason = None if c is not None else NOT_GIVEN
+                    own |= {"axis": row.axis, "sensor": one.label, "reason": reason, "ratio": ratio}
                     own |= {"ratio_lower_95": low, "ratio_upper_95": high}
                     own |= {"p_value": None if d is None else d.corrected, "differs": d and d.differs}
                     rows.append(own)
@@ -456,9 +438,8 @@ class Comparison(ByValue, Tabled):
         """The comparison as plain dictionaries and lists, for JSON; growth in SI."""
         left_out = ("median", "lower_68", "upper_68")
         growths = [
-            {"sensor": self.labels[g.sensor], "of": g.name}
-            | {name: getattr(g, name) for name in ("value", "lower", "upper", "is_bound")}
-            for g in (*self.drifts, *self.growths)
+            {**g._asdict(), "sensor": self.labels[g.sensor], "reasons": [why or None for why in g.reasons]}
+            for g in self.growths
         ]
         return {
             "sensors": [{"name": one.label, "source": one.source} for one in self.sensors],
@@ -485,11 +466,8 @@ class Comparison(ByValue, Tabled):
         cells = [cell for row in self.rows for cell in row.cells(self.sensors)]
         times = [f"after {duration(t)}" for t in HORIZONS]
         tables = [columns_from(heads, cells), self._identified(), columns_from(_GRADES, self.grades)]
-        for title, growths in (("drift", self.drifts), ("error", self.growths)):
-            if growths:
-                rows = [(g.name, self.labels[g.sensor], *g.cells()) for g in growths]
-                tables.append(columns_from((title, "sensor", *times), rows))
-        return tables
+        rows = [(g.name, self.labels[g.sensor], *g.cells()) for g in self.growths]
+        return [*tables, columns_from(("error of", "sensor", *times), rows)] if rows else tables
 
     def _identified(self) -> list[Column]:
         """Terms that each sensor has on any axis, as in Hou (2004) table 5.6; "<": only a limit is known."""
@@ -511,22 +489,26 @@ class Comparison(ByValue, Tabled):
     def grades(self) -> list[tuple[str, str, str, str]]:
         """Sensor, what it is called, and its grades by random walk and by least Allan deviation."""
         found = []
-        for kind, (k, name) in itertools.product(SENSORS, enumerate(self.labels)):
-            own = [row for row in self.rows if row.sensor == kind]
-            graded = [
-                grade([c for row in own if row.label == label and (c := row.estimates[k])], kind, label)
-                for label in (AngleRandomWalk.name(), LEAST)
-            ]
-            if any(graded):
-                found.append((str(kind), name, *(g or NOT_GIVEN for g in graded)))
-        return found  # type: ignore[return-value]
+        for kind, k in itertools.product(SENSORS, range(len(self.sensors))):
+            walk, least = (self._grade(kind, k, label) for label in (AngleRandomWalk.name(), LEAST))
+            if walk or least:
+                found.append((str(kind), self.labels[k], walk, least))
+        return found
+
+    def _grade(self, kind: Sensor, k: int, label: str) -> str:
+        """Grade of a sensor by a coefficient; "" where it has no axis, or the coefficient no limits."""
+        rows = [row for row in self.rows if (row.sensor, row.label) == (kind, label)]
+        known = [row.estimates[k] for row in rows]
+        limited = any((kind, label) in of for of in grades()[0].values())
+        lacks = limited and any(row.is_lacking(self.sensors[k]) for row in rows)
+        return grade(filter(None, known), kind, label) or NOT_GIVEN * lacks
 
     def _notes(self) -> Iterator[str]:
         yield from (f"{one.label}: {one.source}" for one in self.sensors)
         yield (
-            "min σ: the least Allan deviation at any cluster time. ≥: at least, as the data sheet does "
-            "not give all of N, B and K. not given: by the data sheet (no drift without B or K), or by the "
-            "record, beyond three times its length"
+            "min σ: the least Allan deviation at any cluster time. not given: by the data sheet or the fitted "
+            f"terms; ≥: at least, without what is not given. {_TOO_SHORT}: for an error after more than three "
+            "times its length"
         )
         yield f"grade: the best whose limits no axis exceeds, of drift by min σ; limits: {grades()[1]}"
 
@@ -616,23 +598,21 @@ def _rows(sensors: Sequence[Compared], reference: int, axes: Sequence[str]) -> t
     rows = []
     for axis in axes:
         every = [one.of(axis) for one in sensors]
+        lacking = {symbol for one in sensors for symbol in one.lacking(axis)}
+        found = [c for of in every for c in of.values() if c.is_amplitude or c.label == LEAST]
+        held = [c.label for c in found if c.detected or c.held or c.label in _WANTED]
+        held += [label for label, symbol in _WANTED.items() if symbol in lacking]
         # Terms that only one sensor has are its structure, except for the basic ones.
-        held = [
-            n
-            for of in every
-            for n, c in of.items()
-            if (c.is_amplitude or n == LEAST) and (c.detected or c.held or n in USUAL)
-        ]
         names = dict.fromkeys(n for n in held if n in (*SYMBOLS, LEAST) or held.count(n) > 1)
         for label in sorted(names, key=lambda name: [*SYMBOLS, *names].index(name)):
-            found = tuple(of.get(label) for of in every)
-            base = found[reference]
+            estimates = tuple(of.get(label) for of in every)
+            base = estimates[reference]
             pairs = tuple(
                 None if k == reference or c is None or base is None else difference(c, base)
-                for k, c in enumerate(found)
+                for k, c in enumerate(estimates)
             )
             sensor: Any = axis.partition("_")[0]
-            rows.append(Row(axis, sensor, label, found, pairs))
+            rows.append(Row(axis, sensor, label, estimates, pairs))
     tested = [d for row in rows for d in row.differences if d is not None]
     corrected = iter(holm([d.p_value for d in tested]))
     return tuple(
@@ -655,16 +635,28 @@ def drift(
 
 
 def _growths(k: int, one: Compared) -> Iterator[Growth]:
-    """Heading and position errors of a sensor, as far as its axes allow."""
+    """Errors of a sensor's axes, and of heading and position as far as its axes allow."""
     if one.noise is None:
         return
+    sensors, t = sensors_of(one.noise, one.rate_of_models, 0), np.array(HORIZONS)
+    far = t > _BEYOND * sensors.record
+
+    def growth(name: str, absent: str, is_bound: bool, *numbers: Float[np.ndarray, " t"]) -> Growth:
+        reasons = tuple(_TOO_SHORT if beyond else absent for beyond in far)
+        value, low, high = np.where(np.array(reasons) == "", numbers, np.nan)
+        return Growth(k, name, value, low, high, is_bound, reasons)
+
+    for name, noise in sensors.axes.items():
+        absent = "" if noise.drifts else NOT_GIVEN
+        yield growth(name, absent, bool(noise.lacking), *drift(sensors, noise, t))
     try:
         grown = navigate(one.noise, HORIZONS, rate=one.rate_of_models, schuler=True)
     except AllanjaxError:
         # Its axes make no navigator.
         return
     for name, quantity, channel in (("heading", "attitude", "down"), ("position", "position", "north")):
-        growth = next((g for g in grown.growths if g.quantity == quantity), None)
-        if growth is not None and channel in growth.channels:
-            at = growth.channels.index(channel)
-            yield Growth(k, name, growth.error[at], growth.lower[at], growth.upper[at])
+        own = next((g for g in grown.growths if g.quantity == quantity), None)
+        if own is not None and channel in own.channels:
+            at = own.channels.index(channel)
+            numbers = own.error[at], own.lower[at], own.upper[at]
+            yield growth(name, "", channel in own.bounds, *numbers)

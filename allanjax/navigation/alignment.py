@@ -57,7 +57,7 @@ class AxisAlignment(ByValue):
         out_of_reach: probability that the requested error is not reached at any averaging time up to the
             longest.
         is_bound: whether all errors and times are lower bounds, as not all of N, B and K are given; the best
-            time is then nan, and it is unknown whether the error falls.
+            time and the interval of the least error are then nan, and whether the error falls is unknown.
     """
 
     axis: Axis
@@ -281,7 +281,8 @@ def _of_axis(
         }
     falling = bool(error[-1] < _FALLING * error[-min(len(error), _PER_OCTAVE + 1)])
     if drawn.is_bound:
-        best_time, best_time_interval, falling = math.nan, (math.nan, math.nan), False
+        best_time, falling = math.nan, False
+        best_interval = best_time_interval = (math.nan, math.nan)
     of_best = (best, best_interval, best_time, best_time_interval, falling)
     of_curve = (noise.axis, time, error, lower, upper)
     return AxisAlignment(*of_curve, *of_best, **reached, is_bound=drawn.is_bound)

@@ -381,8 +381,8 @@ def _panel_of_sensors(comparison: Comparison, axis: Axis) -> Panel:
     lines, points, key = [], [], []
     for k, one in enumerate(comparison.sensors):
         look, style = _looks(k)
-        lacking = one.lacking(axis.name)
         has_curve = one.curve is not None and axis.name in one.curve.names
+        lacking = [] if has_curve else one.lacking(axis.name)
         if has_curve:
             assert one.curve is not None
             own = draw.allan_points(one.curve[axis.name], 0, scale)

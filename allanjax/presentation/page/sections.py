@@ -107,7 +107,7 @@ def of_record(one: Reported) -> Iterator[Section]:
         from allanjax.presentation.page.story import findings_in_full
 
         yield Section("What a simulation gets wrong", [*findings_in_full(critique)])
-    if any(r.measured for r in fit.results):
+    if any(r.measured and not r.lacking for r in fit.results):
         yield Section("Predicted drift", [Row(charts.drifts(fit))], printed=False)
     yield Section("Exports", [*exports(fit)], printed=False)
     yield Section("Details", [*details(fit, one.check)], printed=False)
@@ -291,7 +291,8 @@ def _view(comparison: Comparison, axis: Axis) -> View:
             low, high = (end[:, k] for end in one.curve.confidence_interval(0.95))
             traces.append(Trace(group, "measured", time, one.curve.deviation[:, k], low, high))
         if one.model(name) is not None:
-            traces.append(Trace(group, "model", time, one.deviation(name, time), look="line"))
+            kind = "at least" if one.curve is None and one.lacking(name) else "model"
+            traces.append(Trace(group, kind, time, one.deviation(name, time), look="line"))
     return View(groups=comparison.labels, traces=traces, **charts.allan(axis, name))
 
 
