@@ -230,8 +230,9 @@ def grade(estimates: Iterable[Estimate], sensor: Sensor, label: str) -> str:
     def first(size: float) -> str:
         return next((name for name, limit in limits if size <= limit), LAST)
 
-    high = max((e.interval[1] if e.detected else e.upper_limit or e.value) for e in known)
-    low = max((e.interval[0] if e.detected else 0.0) for e in known)
+    # An interval that is nan, as of a curve of unknown length, leaves the value.
+    high = max(np.fmax(e.interval[1], e.value) if e.detected else e.upper_limit or e.value for e in known)
+    low = max(np.fmin(e.interval[0], e.value) if e.detected else 0.0 for e in known)
     best, worst = first(low), first(high)
     return best if best == worst else f"{best} to {worst}"
 

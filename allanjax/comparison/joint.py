@@ -86,9 +86,11 @@ def joint_fit(
     called = [name if called.index(name) == k else f"{name}-{k + 1}" for k, name in enumerate(called)]
     results, notes = [], list[str]()
     for axis in dict.fromkeys(name for f in fits for name in f.axes):
-        here = {name: f for name, f in zip(called, fits, strict=True) if axis in f and f[axis].measured}
+        usable = (axis in f and f[axis].measured and f.curve.determined for f in fits)
+        here = {name: f for name, f, use in zip(called, fits, usable, strict=True) if use}
         if absent := [name for name in called if name not in here]:
-            notes.append(f"{axis}: without {', '.join(absent)}, where it is absent or not a measurement")
+            why = "where it is absent, not a measurement, or has no interval"
+            notes.append(f"{axis}: without {', '.join(absent)}, {why}")
         if len(here) > 1:
             results.append(_of_axis(axis, here, model))
     if not results:

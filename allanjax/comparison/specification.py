@@ -191,6 +191,8 @@ class LimitCheck(ByValue):
         if c is None or c.held or (most is None and not c.detected):
             return ""
         value, low, high = (percent(1.0 - x / size) for x in (c.value, *c.interval[::-1]))
+        if c.detected and math.isnan(c.interval[1]):
+            return value
         least = "" if most is None else f"≥ {percent(1.0 - most / size)}"
         return f"{value} ({low.removesuffix(' %')} … {high.removesuffix(' %')})" if c.detected else least
 
@@ -333,6 +335,8 @@ def _checked(fit: Fit, name: str, limit: Limit) -> LimitCheck:
         return LimitCheck(name, limit, reason="this term was not fitted; fit it with terms= (--terms)")
     if c.held:
         return LimitCheck(name, limit, c, reason="the value was given and not estimated")
+    if not fit.curve.determined:
+        return LimitCheck(name, limit, c, reason=fit.curve.unknown[0])
     least = c.probability_below(limit.value)
     # The laws of the two differ, so that the greatest may come out below the least.
     greatest = max(least, floor.probability_below(limit.value)) if floor.detected else 1.0
@@ -371,7 +375,7 @@ def least_deviation(fit: Fit, of: AxisFit) -> tuple[Estimate, Estimate]:
         draws = drawn[:, :to].min(axis=1)
         levels = [0.025, 0.16, 0.5, 0.84, 0.975, MET]
         low, low_68, value, high_68, high, most = np.quantile(draws, levels).tolist()
-        return Estimate(
+        found = Estimate(
             axis=of.axis,
             label=LEAST,
             value=value,
@@ -382,6 +386,7 @@ def least_deviation(fit: Fit, of: AxisFit) -> tuple[Estimate, Estimate]:
             upper_limit=None if detected else most,
             detected=detected,
         )
+        return found.without_interval() if detected and not fit.curve.determined else found
 
     if int(np.argmin(stated[:_TIMES])) < _TIMES - 1:
         return (estimate(_TIMES, True),) * 2

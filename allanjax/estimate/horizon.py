@@ -275,7 +275,8 @@ class Horizon(ByValue, PerAxis[AxisHorizon]):
         name, horizon, probability: the recording's name, and as in `AxisHorizon`.
         process: how the filters model the bias, "walk" or "markov".
         results: one per axis.
-        notes: for a data sheet, what was assumed and what it does not give.
+        notes: for a data sheet, what was assumed and what it does not give; for a curve of unknown length,
+            that there are no intervals and no bound.
     """
 
     ERROR: ClassVar[type[AllanjaxError]] = FitError
@@ -379,7 +380,9 @@ def horizon(
     found = tuple(map(question.answered, _noises(fit, [axes] if isinstance(axes, str) else axes, seed)))
     if not found:
         raise FitError("no axis is a measurement of the sensor; allanjax characterize prints the reasons")
-    notes = fit.statements if isinstance(fit, DataSheet) else ()
+    if isinstance(fit, Fit) and not fit.curve.determined:
+        found = tuple(map(_without_bound, found))
+    notes = fit.statements if isinstance(fit, DataSheet) else fit.curve.unknown
     return Horizon(fit.name, float(seconds), process, probability, found, notes)
 
 
@@ -483,15 +486,20 @@ class _Question(NamedTuple):
 
 def _without_unknown(r: AxisHorizon, lacking: tuple[str, ...]) -> AxisHorizon:
     """The horizon without what depends on coefficients that are not given."""
-    names = ["mismatch", "bounding_white", "bounding_walk"]
-    names += [] if math.isinf(r.bounding_time) else ["bounding_time"]
-    names += [name for symbol, name in (("N", "raw_white"), ("K", "raw_walk")) if symbol in lacking]
-    unknown: dict[str, Any] = dict.fromkeys(names, math.nan)
+    names = [name for symbol, name in (("N", "raw_white"), ("K", "raw_walk")) if symbol in lacking]
+    unknown: dict[str, Any] = dict.fromkeys(["mismatch", *names], math.nan)
     if {"B", "K"} <= {*lacking}:
         unknown["walk"] = r.walk.times(math.nan)
         unknown["correlation_time"] = r.correlation_time and r.correlation_time.times(math.nan)
+    return dataclasses.replace(_without_bound(r), **unknown, shares={}, lacking=lacking)
+
+
+def _without_bound(r: AxisHorizon) -> AxisHorizon:
+    """The horizon where nothing is known that bounds the errors from above."""
+    time = math.inf if math.isinf(r.bounding_time) else math.nan
     bound = np.full_like(r.bound, np.nan)
-    return dataclasses.replace(r, **unknown, bound=bound, shares={}, lacking=lacking)
+    nothing = {"bounding_white": math.nan, "bounding_walk": math.nan, "bounding_time": time}
+    return dataclasses.replace(r, **nothing, bound=bound)
 
 
 def _unit(sensor: Sensor, name: str) -> str:

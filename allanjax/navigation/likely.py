@@ -113,6 +113,7 @@ class Sensors(NamedTuple):
         name: the recording's name.
         rate: sample rate [Hz].
         record: length of the fitted record [s]; infinite for given models.
+        estimated: whether the powers were estimated, and have intervals.
         axes: noise by the name of the axis.
         notes: what is left out or not given, and why.
     """
@@ -122,11 +123,7 @@ class Sensors(NamedTuple):
     record: float
     axes: Mapping[str, AxisNoise]
     notes: tuple[str, ...]
-
-    @property
-    def estimated(self) -> bool:
-        """Whether the powers were estimated, and have intervals."""
-        return np.isfinite(self.record)
+    estimated: bool = False
 
     def ends(self, drawn: Drawn) -> tuple[np.ndarray, np.ndarray]:
         """Ends of the central 95 % interval of a quantity: the lower from detected terms, the upper from all.
@@ -175,7 +172,10 @@ def sensors_of(data: NoiseLike, rate: float | None, seed: int) -> Sensors:
         white = ", ".join(name for name, own in noise.items() if own.lacking)
         if white:
             notes.append(f"{white}: B and K {NOT_GIVEN} by the terms of the fit; fit others (--terms)")
-        return Sensors(fit.name, fit.curve.rate, fit.curve.n / fit.curve.rate, noise, tuple(notes))
+        curve = fit.curve
+        notes += curve.unknown
+        own = fit.name, curve.rate, curve.n / curve.rate
+        return Sensors(*own, noise, tuple(notes), curve.determined)
     name, notes, lacking = "", tuple[str, ...](), dict[str, tuple[str, ...]]()
     if isinstance(data, DataSheet):
         name, notes, rate = data.name, data.statements, RATE if rate is None else rate

@@ -86,8 +86,7 @@ def plot_allan(
     if labels is not None:
         raise AllanjaxError("labels= names several curves: give them as a list, or leave it out")
     fit, curve = _fit_and_curve(data)
-    facts = draw.facts_of(curve.n, curve.rate) + curve.describe_others()
-    heading = draw.heading_of(fit, _kind_of(curve), facts, axes)
+    heading = draw.heading_of(fit, _kind_of(curve), draw.facts_of_curve(curve), axes)
     rows = draw.rows_of(curve.names, curve.axes, axes)
     return draw.draw_panels(heading, draw.CLUSTER_TIME, rows, lambda k: _panel(curve, fit, k), path, ax)
 
@@ -176,6 +175,8 @@ def residual(fit: Fit, k: int) -> Residual:
     points = Points(measured.x, 100.0 * (measured.y / model - 1.0), 100.0 * measured.spread / model)
     edf = curve.edf[:, k]
     chance = np.sqrt(quantile(np.array([[0.025], [0.975]]), edf) / edf) - 1.0
+    if not curve.determined:
+        chance[:] = np.nan
     return Residual(points, edf > 0.5 / draw.PRECISE**2, 100.0 * chance)
 
 
@@ -260,9 +261,7 @@ def _plot_several(
 
 def _facts_of_several(curves: Sequence[AllanDeviation]) -> str:
     """Lengths and rates of the records; of more than two kinds, from the least to the largest."""
-    facts = list(
-        dict.fromkeys(draw.facts_of(curve.n, curve.rate) + curve.describe_others() for curve in curves)
-    )
+    facts = list(dict.fromkeys(map(draw.facts_of_curve, curves)))
     if len(facts) <= 2:
         return "; ".join(facts)
     lengths, rates = sorted(c.n / c.rate for c in curves), sorted(c.rate for c in curves)

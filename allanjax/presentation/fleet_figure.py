@@ -287,8 +287,8 @@ def plot_joint(
 
     Points are the recordings' values with their 95 % intervals, hollow triangles the 95 % limits of what a
     recording does not detect, and red is the odd one. Below them is the common value with its 95 % interval,
-    in a pale bar of the range in which 95 % of recordings lie if their scatter is detected. Arrows are ends of
-    intervals outside the panel.
+    in a pale bar of the range in which 95 % of recordings lie if their scatter is detected. Arrows are the
+    ends of intervals outside the panel.
 
     Raises:
         AllanjaxError: there is no such axis.

@@ -152,7 +152,8 @@ def _marks(fit: Fit, k: int, group: int) -> Iterator[Mark]:
         if (c := known.get(label)) is not None:
             yield Mark(f"{c.symbol} at {at:g} s", at, c.value, group)
     # The longest times are so uncertain that the lowest of them is lower by chance.
-    lowest = int(np.argmin(curve.confidence_interval(0.95)[1][:, k]))
+    high = curve.confidence_interval(0.95)[1][:, k]
+    lowest = int(np.argmin(np.fmax(high, curve.deviation[:, k])))
     at = float(curve.cluster_time[lowest])
     yield Mark("minimum", at, float(curve.deviation[lowest, k]), group)
     if (c := known.get("bias_instability")) is not None:

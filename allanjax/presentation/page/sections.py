@@ -12,7 +12,6 @@ import numpy as np
 
 from allanjax.allan.deviation import dynamic_allan
 from allanjax.base.errors import AllanjaxError
-from allanjax.base.wording import record_size
 from allanjax.comparison.compare import Comparison, axes_of
 from allanjax.comparison.specification import SpecCheck
 from allanjax.critic.result import Critique
@@ -140,7 +139,7 @@ def verdict(one: Reported) -> Iterator[Text]:
         yield Text(f"The noise model fits {where}.", "verdict good" if alone else "")
     if also:
         yield Text(f"Also found: {_first(also)}.")
-    size = record_size(fit.curve.n, fit.curve.rate) + fit.curve.describe_others()
+    size = fit._title()
     yield Text(" · ".join([size, *map(": ".join, one.conditions.items())]), "note")
 
 
