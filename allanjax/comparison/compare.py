@@ -507,8 +507,8 @@ class Comparison(ByValue, Tabled):
     def _notes(self) -> Iterator[str]:
         yield from (f"{one.label}: {one.source}" for one in self.sensors)
         yield (
-            "min σ: the least Allan deviation at any cluster time. not given: by the data sheet or the fitted "
-            f"terms; ≥: at least, without what is not given. {_TOO_SHORT}: for an error after more than three "
+            "min σ: the least Allan deviation at any cluster time. not given: by the data sheet or the terms "
+            f"of the fit; ≥: at least, without what is not given. {_TOO_SHORT}: the time is more than three "
             "times its length"
         )
         yield f"grade: the best whose limits no axis exceeds, of drift by min σ; limits: {grades()[1]}"

@@ -498,7 +498,7 @@ def _without_bound(r: AxisHorizon) -> AxisHorizon:
     """The horizon where nothing is known that bounds the errors from above."""
     time = math.inf if math.isinf(r.bounding_time) else math.nan
     bound = np.full_like(r.bound, np.nan)
-    nothing = {"bounding_white": math.nan, "bounding_walk": math.nan, "bounding_time": time}
+    nothing: dict[str, Any] = {"bounding_white": math.nan, "bounding_walk": math.nan, "bounding_time": time}
     return dataclasses.replace(r, **nothing, bound=bound)
 
 

@@ -168,14 +168,12 @@ def sensors_of(data: NoiseLike, rate: float | None, seed: int) -> Sensors:
             raise FitError("no axis is a measurement of the sensor; allanjax characterize prints the reasons")
         others = [(r.axis, r.verdict) for r in fit.values() if not r.measured]
         others += [(dead.axis, dead.reason) for dead in fit.dead]
-        notes = [f"{axis.name} is left out: {why}" for axis, why in others]
-        white = ", ".join(name for name, own in noise.items() if own.lacking)
+        told = [f"{axis.name} is left out: {why}" for axis, why in others]
+        white = ", ".join(name for name, axis in noise.items() if axis.lacking)
         if white:
-            notes.append(f"{white}: B and K {NOT_GIVEN} by the terms of the fit; fit others (--terms)")
-        curve = fit.curve
-        notes += curve.unknown
-        own = fit.name, curve.rate, curve.n / curve.rate
-        return Sensors(*own, noise, tuple(notes), curve.determined)
+            told.append(f"{white}: B and K {NOT_GIVEN} by the terms of the fit; fit others (--terms)")
+        curve, left_out = fit.curve, (*told, *fit.curve.unknown)
+        return Sensors(fit.name, curve.rate, curve.n / curve.rate, noise, left_out, curve.determined)
     name, notes, lacking = "", tuple[str, ...](), dict[str, tuple[str, ...]]()
     if isinstance(data, DataSheet):
         name, notes, rate = data.name, data.statements, RATE if rate is None else rate
