@@ -28,26 +28,25 @@ from allanjax.allan.deviation import AllanDeviation
 from allanjax.base.equality import ByValue
 from allanjax.base.errors import AllanjaxError
 from allanjax.base.late import presented
-from allanjax.base.normal import ONE_SIDED_95, TWO_SIDED_68, TWO_SIDED_95
+from allanjax.base.normal import ONE_SIDED_95, TWO_SIDED_95
 from allanjax.base.tables import Column, Tabled, columns_from
 from allanjax.base.testing import holm
-from allanjax.base.wording import duration, format_range, plain, significant
-from allanjax.comparison.specification import least_deviation
+from allanjax.base.wording import duration, format_range, numbered, plain, significant
 from allanjax.critic.result import Critique
-from allanjax.estimate.as_json import in_json, load
+from allanjax.estimate.as_json import in_json, load_one
 from allanjax.estimate.fit import fit
+from allanjax.estimate.least_deviation import least_deviation
 from allanjax.estimate.result import Fit, detail
 from allanjax.navigation.likely import NoiseLike, Sensors, sensors_of
 from allanjax.navigation.navigator import navigate
 from allanjax.noise.datasheet import LEAST, MINIMUM, NOT_GIVEN, USUAL, DataSheet, datasheet, datasheets
 from allanjax.noise.estimate import SYMBOLS, Estimate, title_of, usual_unit
-from allanjax.noise.model import Model, ModelParameter
+from allanjax.noise.model import Model
 from allanjax.noise.simulate import SENSORS as PRESETS
 from allanjax.noise.simulate import SensorPreset
 from allanjax.noise.terms import AngleRandomWalk, BiasInstability
 from allanjax.record.io.given import RecordingLike, as_recording
-from allanjax.record.recording import Axis
-from allanjax.record.units import SENSORS, SI, Sensor, parse_quantity, unit_scale
+from allanjax.record.units import SENSORS, Sensor, parse_quantity, unit_scale
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -128,7 +127,10 @@ def compared(data: Comparable, label: str = "") -> Compared:
         source = f"data sheet: {data.source}" if data.source else "data sheet"
         return Compared(label or data.name, source, values, data, models, 100.0)
     if isinstance(data, SensorPreset):
-        return _of_preset(data, label)
+        values = {axis.name: _with_least(axis.estimates) for axis in data.axes}
+        models = {axis.name: axis.model for axis in data.axes}
+        rate = data.axes[0].rate
+        return Compared(label or data.name, data.description, values, models, models, rate)
     found = data if isinstance(data, Fit) else data.fit if isinstance(data, Critique) else fit(data)
     measured = {r.axis.name: r for r in found.results if r.measured}
     values = {name: {**r.coefficients, LEAST: least_deviation(found, r)[0]} for name, r in measured.items()}
@@ -137,30 +139,9 @@ def compared(data: Comparable, label: str = "") -> Compared:
     source = f"fit of {hours:.2g} h at {found.curve.rate:g} Hz"
     if not values:
         source += "; not a measurement of the sensor"
+    if not found.curve.determined:
+        source = f"fit of an Allan curve; {found.curve.unknown[0]}"
     return Compared(label or found.name, source, values, noise, models, found.curve.rate, found.curve)
-
-
-def _of_preset(preset: SensorPreset, label: str) -> Compared:
-    """A unit with the values and errors of its tables."""
-    values = {}
-    for axis in preset.axes:
-        sensor: Any = axis.name.partition("_")[0]
-        own = Axis(axis.name, sensor, SI[sensor]["rate"])
-        amplitudes = [p for p in axis.model.parameters if p.parameter.is_amplitude]
-        pairs = zip(amplitudes, axis.coefficients.values(), strict=True)
-        values[axis.name] = _with_least({p.label: _tabulated(own, p, known) for p, known in pairs})
-    models = {axis.name: axis.model for axis in preset.axes}
-    rate = preset.axes[0].rate
-    return Compared(label or preset.name, preset.description, values, models, models, rate)
-
-
-def _tabulated(axis: Axis, p: ModelParameter, known: Any) -> Estimate:
-    """A coefficient of a table with its error as the standard deviation."""
-    value, std = known.si, known.error * unit_scale(known.unit)
-    outer, inner = ((max(value - z * std, 0.0), value + z * std) for z in (TWO_SIDED_95, TWO_SIDED_68))
-    numbers: dict[str, Any] = {"value": value, "std": std, "interval": outer, "interval_68": inner}
-    about: dict[str, Any] = {"parameter": p.parameter, "term": p.term_label, "usual_unit": known.unit}
-    return Estimate(axis=axis, label=p.label, **numbers, **about)
 
 
 def _with_least(coefficients: dict[str, Estimate]) -> dict[str, Estimate]:
@@ -178,15 +159,9 @@ def _opened(data: Comparable) -> Any:
     if not isinstance(data, str | os.PathLike):
         return as_recording(data)
     path, name = Path(data), str(data)
-    if path.exists() and path.suffix == ".json":
-        found = load(path)
-        if isinstance(found, Fit):
-            return found
-        raise AllanjaxError(f"{path}: has {len(found)} fits ({', '.join(found)}); give files with one each")
-    if path.exists() and path.suffix == ".toml":
-        return datasheet(path)
     if path.exists():
-        return as_recording(path)
+        readers: dict[str, Any] = {".json": load_one, ".toml": datasheet}
+        return readers.get(path.suffix, as_recording)(path)
     if name in PRESETS:
         return PRESETS[name]
     if path.suffix:
@@ -466,25 +441,9 @@ class Comparison(ByValue, Tabled):
         heads = ("axis", "of", "sensor", "value", "ratio", "95 %", "p", "differs")
         cells = [cell for row in self.rows for cell in row.cells(self.sensors)]
         times = [f"after {duration(t)}" for t in HORIZONS]
-        tables = [columns_from(heads, cells), self._identified(), columns_from(_GRADES, self.grades)]
+        tables = [columns_from(heads, cells), columns_from(_GRADES, self.grades)]
         rows = [(g.name, self.labels[g.sensor], *g.cells()) for g in self.growths]
         return [*tables, columns_from(("error of", "sensor", *times), rows)] if rows else tables
-
-    def _identified(self) -> list[Column]:
-        """Terms that each sensor has on any axis, as in Hou (2004) table 5.6; "<": only a limit is known."""
-        labels = list(dict.fromkeys(row.label for row in self.rows if row.label != LEAST))
-        labels.sort(key=[*SYMBOLS, *labels].index)
-        cells = []
-        for kind, (k, name) in itertools.product(SENSORS, enumerate(self.labels)):
-            known = [row for row in self.rows if row.sensor == kind]
-            own = {
-                label: [_mark(row, self.sensors[k], k) for row in known if row.label == label]
-                for label in labels
-            }
-            if any(map(any, own.values())):
-                cells.append((kind, name, *(max(marks, default="") for marks in own.values())))
-        heads = [SYMBOLS.get(label, label.replace("_", " ")) for label in labels]
-        return columns_from(("terms of", "sensor", *heads), cells)
 
     @property
     def grades(self) -> list[tuple[str, str, str, str]]:
@@ -512,14 +471,6 @@ class Comparison(ByValue, Tabled):
             "times its length"
         )
         yield f"grade: the best whose limits no axis exceeds, of drift by min σ; limits: {grades()[1]}"
-
-
-def _mark(row: Row, one: Compared, k: int) -> str:
-    """Whether a sensor's term is detected: "yes", "<" for a limit, "not given", or "" for nothing."""
-    c = row.estimates[k]
-    if c is None:
-        return NOT_GIVEN if row.is_lacking(one) else ""
-    return "yes" if c.detected or c.held else "<"
 
 
 def _between(ends: tuple[float, float]) -> str:
@@ -563,8 +514,9 @@ def compare(*data: Comparable, labels: Sequence[str] | None = None, reference: i
         raise AllanjaxError("give two or more sensors to compare, e.g. compare(fit, 'BMI088')")
     if labels is not None and len(labels) != len(data):
         raise AllanjaxError(f"{len(labels)} labels for {len(data)} sensors: give one for each")
-    sensors = _distinct([compared(*pair) for pair in zip(data, labels or [""] * len(data), strict=True)])
-    names = [one.label for one in sensors]
+    sensors = [compared(*pair) for pair in zip(data, labels or [""] * len(data), strict=True)]
+    names = numbered([one.label or "sensor" for one in sensors])
+    sensors = [one._replace(label=name) for one, name in zip(sensors, names, strict=True)]
     if isinstance(reference, str):
         if reference not in names:
             raise AllanjaxError(f"no sensor {reference!r}; the sensors are {', '.join(names)}")
@@ -572,15 +524,6 @@ def compare(*data: Comparable, labels: Sequence[str] | None = None, reference: i
     elif not 0 <= reference < len(sensors):
         raise AllanjaxError(f"reference= is the number of a sensor, 0 to {len(sensors) - 1}, not {reference}")
     return Comparison(tuple(sensors), reference, _rows(sensors, reference, axes_of(sensors)))
-
-
-def _distinct(sensors: Sequence[Compared]) -> list[Compared]:
-    """The sensors with different labels: equal ones are numbered."""
-    names = [one.label or "sensor" for one in sensors]
-    return [
-        one._replace(label=f"{name} ({names[: k + 1].count(name)})" if names.count(name) > 1 else name)
-        for k, (one, name) in enumerate(zip(sensors, names, strict=True))
-    ]
 
 
 def axes_of(sensors: Sequence[Compared]) -> list[str]:

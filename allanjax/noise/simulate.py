@@ -18,14 +18,16 @@ from jaxtyping import Array, Float, PRNGKeyArray
 
 from allanjax.base.equality import ByValue
 from allanjax.base.errors import AllanjaxError, RecordingError
+from allanjax.base.normal import TWO_SIDED_68, TWO_SIDED_95
 from allanjax.noise.datasheet import NOT_GIVEN, DataSheet
+from allanjax.noise.estimate import Estimate
 from allanjax.noise.model import Model
 from allanjax.noise.notation import ModelLike, as_model, term_classes
 from allanjax.noise.terms import NoiseTerm
 from allanjax.record.columns import recognise
-from allanjax.record.recording import Recording
+from allanjax.record.recording import Axis, Recording
 from allanjax.record.units import SENSORS as KINDS
-from allanjax.record.units import parse_sample_unit, unit_scale
+from allanjax.record.units import SI, parse_sample_unit, unit_scale
 
 
 def simulate(model: ModelLike, n: int, rate: float, key: PRNGKeyArray | int) -> Float[Array, " n"]:
@@ -188,6 +190,21 @@ class AxisPreset(ByValue):
         """Noise model of the axis: the sum of the identified terms."""
         amplitudes = ((term, term.amplitude_parameter().name, c.si) for term, c in self.coefficients.items())
         return Model(tuple(term().replace(**{name: value}) for term, name, value in amplitudes))
+
+    @property
+    def estimates(self) -> dict[str, Estimate]:
+        """The coefficients in SI by label, with the error in the thesis as standard deviation."""
+        sensor: Any = self.name.partition("_")[0]
+        axis, found = Axis(self.name, sensor, SI[sensor]["rate"]), {}
+        amplitudes = (p for p in self.model.parameters if p.parameter.is_amplitude)
+        for p, known in zip(amplitudes, self.coefficients.values(), strict=True):
+            value, std = known.si, known.error * unit_scale(known.unit)
+            outer, inner = (
+                (max(value - z * std, 0.0), value + z * std) for z in (TWO_SIDED_95, TWO_SIDED_68)
+            )
+            about: dict[str, Any] = {"parameter": p.parameter, "term": p.term_label, "usual_unit": known.unit}
+            found[p.label] = Estimate(axis, p.label, value, std, outer, inner, **about)
+        return found
 
     def __repr__(self) -> str:
         values = (f"{term.name()} {c.value:g} {c.unit}" for term, c in self.coefficients.items())

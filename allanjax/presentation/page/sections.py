@@ -271,11 +271,11 @@ def of_comparison(comparison: Comparison) -> Iterator[Section]:
     verdict = f"{different} of {len(tested)} coefficients differ from those of {reference}."
     if not tested:
         verdict = "Whether coefficients differ cannot be tested without their errors."
-    coefficients, terms, graded, *growths = (Table.of(columns) for columns in comparison._tables())
+    coefficients, graded, *growths = (Table.of(columns) for columns in comparison._tables())
     names = axes_of(comparison.sensors)
     axes = [Axis(x, of, SI[of]["rate"]) for x in names for of in SENSORS if x.startswith(of)]
     over = charts.each(axes, "{}", lambda own: [_view(comparison, axis) for axis in own])
-    yield Section("Comparison", [Text(verdict, "verdict"), Row(over), Row([coefficients, terms, graded])])
+    yield Section("Comparison", [Text(verdict, "verdict"), Row(over), Row([coefficients, graded])])
     yield Section("Drift and growth of errors", [Row(growths)])
     yield Section("Sensors", [Text(line, "note") for line in comparison._notes()])
 
