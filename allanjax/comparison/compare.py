@@ -414,7 +414,8 @@ class Comparison(ByValue, Tabled):
         """The comparison as plain dictionaries and lists, for JSON; growth in SI."""
         left_out = ("median", "lower_68", "upper_68")
         growths = [
-            {**g._asdict(), "sensor": self.labels[g.sensor], "reasons": [why or None for why in g.reasons]}
+            {"sensor": self.labels[g.sensor], "of": g.name, "reasons": [why or None for why in g.reasons]}
+            | {name: getattr(g, name) for name in ("value", "lower", "upper", "is_bound")}
             for g in self.growths
         ]
         return {

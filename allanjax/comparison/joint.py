@@ -210,12 +210,12 @@ class _Records:
                 distance = c.value - p.parameter.lower
                 found[:, row, self.places[p.label]] = np.log(distance), (c.std / distance) ** 2, 0.0
         for row, (_, at) in self.fitted.items():
-            p = power[[row]]
-            estimated = np.append(free_powers(self.model), p[0, at.tangent.owner] > 0.0)[None]
-            X, weighed, covariance, step = at.linearized(p, estimated)
+            own = power[[row]]
+            estimated = np.append(free_powers(self.model), own[0, at.tangent.owner] > 0.0)[None]
+            X, weighed, covariance, step = at.linearized(own, estimated)
             sd = np.sqrt(np.where(estimated, np.einsum("rpp->rp", covariance), np.nan))
             # Shapes, whose estimates may be negative, count as without power.
-            around = np.pad(p, ((0, 0), (0, sd.shape[1] - terms)))
+            around = np.pad(own, ((0, 0), (0, sd.shape[1] - terms)))
             skewness = skewness_of(X @ covariance, weighed @ covariance, sd, around)
             variance = (sd * self.results[row].widening) ** 2
             found[:, [row]] = step + around, variance, np.maximum(skewness, 0.0)

@@ -202,8 +202,17 @@ class AxisPreset(ByValue):
             outer, inner = (
                 (max(value - z * std, 0.0), value + z * std) for z in (TWO_SIDED_95, TWO_SIDED_68)
             )
-            about: dict[str, Any] = {"parameter": p.parameter, "term": p.term_label, "usual_unit": known.unit}
-            found[p.label] = Estimate(axis, p.label, value, std, outer, inner, **about)
+            found[p.label] = Estimate(
+                axis=axis,
+                label=p.label,
+                value=value,
+                std=std,
+                interval=outer,
+                interval_68=inner,
+                parameter=p.parameter,
+                term=p.term_label,
+                usual_unit=known.unit,
+            )
         return found
 
     def __repr__(self) -> str:
