@@ -25,8 +25,8 @@ _PLAIN = frozenset({"string", "number", "integer", "boolean", "object"})
 def schema(name: Name) -> dict[str, Any]:
     """JSON schema, draft 2020-12, of the output of `check`, `characterize` ("fit"), `critique`, ….
 
-    "check", "horizon", "compare", "navigate": the output of `--json`. "fit": NAME.json, and the output of `--json`. "critique":
-    NAME_critique.json, and the output of `--json`. "fleet": recordings/NAME.json.
+    "fit": NAME.json, and the output of `--json`. "critique": NAME_critique.json, and the output of `--json`.
+    "fleet": recordings/NAME.json. All others: the output of `--json`.
     """
     if name == "fleet":
         return _of_fleet()
