@@ -15,7 +15,7 @@ import itertools
 import math
 import os
 import tomllib
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from importlib.resources import files
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
@@ -54,8 +54,6 @@ if TYPE_CHECKING:
 
 #: Horizons of the drift and the growth of errors [s]; probability of any difference among equal sensors.
 HORIZONS, LEVEL = (60.0, 600.0, 3600.0), 0.05
-# Short names of quantities without a symbol.
-_SHORT = {LEAST: "min σ"}
 # Coefficients that every sensor has, and which of N, B and K they are or follow from.
 _WANTED = {**USUAL, LEAST: "B"}
 _GRADES = ("grade of", "sensor", "by random walk", "by drift")
@@ -192,26 +190,6 @@ def grades() -> tuple[Mapping[str, Mapping[tuple[str, str], float]], str]:
     return found, source
 
 
-def grade(estimates: Iterable[Estimate], sensor: Sensor, label: str) -> str:
-    """Grade of a sensor by the largest of its axes, e.g. "tactical" or "navigation to tactical".
-
-    It is the first whose limit is not exceeded, at both ends of the 95 % interval; "" without a limit.
-    """
-    known = [e for e in estimates if e.detected or e.held or e.upper_limit is not None]
-    limits = [(name, of[sensor, label]) for name, of in grades()[0].items() if (sensor, label) in of]
-    if not known or not limits:
-        return ""
-
-    def first(size: float) -> str:
-        return next((name for name, limit in limits if size <= limit), LAST)
-
-    # An interval that is nan, as of a curve of unknown length, leaves the value.
-    high = max(np.fmax(e.interval[1], e.value) if e.detected else e.upper_limit or e.value for e in known)
-    low = max(np.fmin(e.interval[0], e.value) if e.detected else 0.0 for e in known)
-    best, worst = first(low), first(high)
-    return best if best == worst else f"{best} to {worst}"
-
-
 class Difference(NamedTuple):
     """A coefficient of one sensor against that of the reference.
 
@@ -245,6 +223,10 @@ class Difference(NamedTuple):
         ratio = significant(self.ratio) if np.isfinite(self.ratio) else ""
         p = "" if self.corrected is None else plain(self.corrected, 2) if self.corrected >= 1e-4 else "< 10⁻⁴"
         return ratio, _between(self.interval), p, self.verdict
+
+
+# Of the reference itself, and where one has no coefficient.
+_UNTESTED = Difference(math.nan, (math.nan, math.nan), None)
 
 
 def difference(one: Estimate, reference: Estimate) -> Difference:
@@ -307,7 +289,9 @@ class Row(NamedTuple):
     @property
     def symbol(self) -> str:
         """Symbol or short name of the coefficient."""
-        return SYMBOLS.get(self.label) or _SHORT.get(self.label) or title_of(self.label, self.sensor)
+        if self.label == LEAST:
+            return "min σ"
+        return SYMBOLS.get(self.label) or title_of(self.label, self.sensor)
 
     def is_lacking(self, one: Compared) -> bool:
         """Whether N, B or K, or what the coefficient follows from, is not given for a sensor."""
@@ -318,7 +302,7 @@ class Row(NamedTuple):
         for one, c, d in zip(sensors, self.estimates, self.differences, strict=True):
             if c is not None or self.is_lacking(one):
                 value = NOT_GIVEN if c is None else detail(c, self.unit)[2]
-                yield self.axis, self.symbol, one.label, value, *(("",) * 4 if d is None else d.cells())
+                yield self.axis, self.symbol, one.label, value, *(d or _UNTESTED).cells()
 
 
 class Growth(NamedTuple):
@@ -399,20 +383,19 @@ class Comparison(ByValue, Tabled):
     def _records(self) -> list[dict[str, Any]]:
         rows = []
         for row in self.rows:
-            for one, c, d in zip(self.sensors, row.estimates, row.differences, strict=True):
-                if c is not None or row.is_lacking(one):
-                    ratio, (low, high) = (math.nan, (math.nan,) * 2) if d is None else (d.ratio, d.interval)
-                    own = {"coefficient": row.label, "value": math.nan} if c is None else c.row()
-                    reason = None if c is not None else NOT_GIVEN
-                    own |= {"axis": row.axis, "sensor": one.label, "reason": reason, "ratio": ratio}
-                    own |= {"ratio_lower_95": low, "ratio_upper_95": high}
-                    own |= {"p_value": None if d is None else d.corrected, "differs": d and d.differs}
-                    rows.append(own)
+            for one, c, tested in zip(self.sensors, row.estimates, row.differences, strict=True):
+                if c is None and not row.is_lacking(one):
+                    continue
+                d, known = tested or _UNTESTED, {"coefficient": row.label, "value": math.nan}
+                reason = None if c is not None else NOT_GIVEN
+                of = {"axis": row.axis, "sensor": one.label, "reason": reason, "ratio": d.ratio}
+                of |= zip(("ratio_lower_95", "ratio_upper_95"), d.interval, strict=True)
+                of |= {"p_value": d.corrected, "differs": d.differs}
+                rows.append((known if c is None else c.row()) | of)
         return rows
 
     def to_dict(self) -> dict[str, Any]:
         """The comparison as plain dictionaries and lists, for JSON; growth in SI."""
-        left_out = ("median", "lower_68", "upper_68")
         growths = [
             {"sensor": self.labels[g.sensor], "of": g.name, "reasons": [why or None for why in g.reasons]}
             | {name: getattr(g, name) for name in ("value", "lower", "upper", "is_bound")}
@@ -421,10 +404,7 @@ class Comparison(ByValue, Tabled):
         return {
             "sensors": [{"name": one.label, "source": one.source} for one in self.sensors],
             "reference": self.labels[self.reference],
-            "coefficients": [
-                in_json({name: x for name, x in row.items() if name not in left_out})
-                for row in self._records()
-            ],
+            "coefficients": in_json(self._records()),
             "horizons_s": list(HORIZONS),
             "grades": [dict(zip(_GRADES, row, strict=True)) for row in self.grades],
             "growth": in_json(growths),
@@ -457,12 +437,21 @@ class Comparison(ByValue, Tabled):
         return found
 
     def _grade(self, kind: Sensor, k: int, label: str) -> str:
-        """Grade of a sensor by a coefficient; "" where it has no axis, or the coefficient no limits."""
+        """Grade of a sensor by the largest of its axes, e.g. "tactical" or "navigation to tactical".
+
+        It is the first whose limit is not exceeded, at both ends of the 95 % interval; "" without limits.
+        """
+        limits = [(name, of[kind, label]) for name, of in grades()[0].items() if (kind, label) in of]
         rows = [row for row in self.rows if (row.sensor, row.label) == (kind, label)]
-        known = [row.estimates[k] for row in rows]
-        limited = any((kind, label) in of for of in grades()[0].values())
-        lacks = limited and any(row.is_lacking(self.sensors[k]) for row in rows)
-        return grade(filter(None, known), kind, label) or NOT_GIVEN * lacks
+        known = [c for c in (row.estimates[k] for row in rows) if c and (c.detected or c.upper_limit)]
+        if not limits or not known:
+            lacks = any(row.is_lacking(self.sensors[k]) for row in rows)
+            return NOT_GIVEN if limits and lacks else ""
+        # An interval that is nan, as of a curve of unknown length, leaves the value.
+        low = max(np.fmin(c.interval[0], c.value) if c.detected else 0.0 for c in known)
+        high = max(np.fmax(c.interval[1], c.value) if c.detected else c.upper_limit or 0.0 for c in known)
+        names = [next((name for name, limit in limits if x <= limit), LAST) for x in (low, high)]
+        return " to ".join(dict.fromkeys(names))
 
     def _notes(self) -> Iterator[str]:
         yield from (f"{one.label}: {one.source}" for one in self.sensors)
@@ -477,7 +466,7 @@ class Comparison(ByValue, Tabled):
 def _between(ends: tuple[float, float]) -> str:
     """Interval of a ratio, or its limit."""
     low, high = ends
-    if low == high:
+    if not low < high:
         return ""
     if math.isinf(high):
         return f"> {significant(low)}" if low > 0.0 else ""
@@ -499,7 +488,9 @@ def compare(*data: Comparable, labels: Sequence[str] | None = None, reference: i
     Coefficients that each sensor has are compared with those of the reference, with intervals, ratios and a
     test that is corrected for the number of coefficients. The drift of each axis after 1 min, 10 min and 1 h
     is that of the integrated rate, √2·t·σ_A(t), if the bias is the mean over an equally long time before;
-    heading and position errors are those of a navigator at rest with the Schuler loop, see `navigate`.
+    heading and position errors are those of a navigator at rest with the Schuler loop, see `navigate`. They
+    are given up to three times the length of a record. What a data sheet or the terms of a fit do not give is
+    not zero: a drift without B and K is not given, and other errors are lower bounds.
 
     Args:
         data: the sensors: what `fit`, `critique`, `datasheet` or `read_curve` returned, a recording or what

@@ -23,15 +23,15 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
+from allanjax.allan.deviation import AllanDeviation
 from allanjax.base.errors import AllanjaxError, FitError
 from allanjax.base.wording import numbered
 from allanjax.comparison.random_effects import Laws, RandomEffects, random_effects
 from allanjax.comparison.repeatability import AxisJoint, JointCoefficient, JointFit
 from allanjax.estimate.as_json import load_one
 from allanjax.estimate.axis_fits import check_terms
-from allanjax.estimate.bulk import BulkFit, fit_many
 from allanjax.estimate.design import AllanDesign, free_powers, free_shapes, model_to_fit
-from allanjax.estimate.fit import fit
+from allanjax.estimate.fit import fit, fit_curve
 from allanjax.estimate.inference import Hypotheses, estimate_of, reported, skewness_of
 from allanjax.estimate.result import AxisFit, Fit
 from allanjax.estimate.selection import AxisSelection, TermSet, pooled
@@ -179,15 +179,16 @@ class _Records:
     model: Model
     names: list[str]
     results: list[AxisFit]
-    fitted: dict[int, tuple[BulkFit, Hypotheses]]
+    fitted: dict[int, tuple[AxisFit, Hypotheses]]
 
     @classmethod
     def of(cls, name: str, fits: Mapping[str, Fit], model: Model) -> _Records:
         results, fitted = [f[name] for f in fits.values()], {}
         for row, (f, result) in enumerate(zip(fits.values(), results, strict=True)):
             if result.own_template is None and not f.curve.others:
-                found = fit_many(f.curve[name], model)
-                fitted[row] = found, _hypotheses(found)
+                curve = f.curve[name]
+                found = fit_curve(curve, model)[name]
+                fitted[row] = found, _hypotheses(curve, model, found)
         return cls(model, list(fits), results, fitted)
 
     @property
@@ -269,36 +270,27 @@ class _Records:
             result[p.label] = JointCoefficient(common, records, scatter, effects, scale)
         return result
 
-    def _own_estimates(self) -> list[dict[str, Estimate]]:
+    def _own_estimates(self) -> list[Mapping[str, Estimate]]:
         """Each recording's estimates of the joint model's coefficients by label."""
-        own: list[dict[str, Estimate]] = [dict(r.coefficients) for r in self.results]
+        own = [r.coefficients for r in self.results]
         for row, (of, _) in self.fitted.items():
-            own[row] = {}
-            numbers = np.stack([of.value, of.std, of.lower, of.upper, of.upper_limit])[:, 0].T.tolist()
-            for k, (p, (value, std, low, high, limit)) in enumerate(
-                zip(reported(self.model), numbers, strict=True)
-            ):
-                ends = [low, high, max(value - std, p.parameter.lower), value + std, limit]
-                c = estimate_of(p, self.results[0].axis, value, std, ends, bool(of.detected[0, k]))
-                if np.isfinite(value):
-                    own[row][p.label] = c.widened(self.results[row].widening)
+            own[row] = of.widened(self.results[row].widening).coefficients if of.converged else {}
         return own
 
 
-def _hypotheses(first: BulkFit) -> Hypotheses:
-    """A curve at the best fit of a model."""
-    model, curve = first.template, first.curve
+def _hypotheses(curve: AllanDeviation, model: Model, found: AxisFit) -> Hypotheses:
+    """A curve of one axis at the best fit of a model."""
     power, shape = np.zeros((1, len(model))), np.zeros((1, len(free_shapes(model))))
-    values = dict(zip(first.coefficients, first.value[0], strict=True))
+    values = {label: c.value for label, c in (found.coefficients if found.converged else {}).items()}
     for p in model.parameters:
         if p.parameter.is_amplitude and p.label in values:
             power[:, p.term] = np.nan_to_num(values[p.label]) ** 2
     for k, p in enumerate(free_shapes(model)):
-        u = np.log(values[p.label] - p.parameter.lower)
+        u = np.log(values.get(p.label, np.nan) - p.parameter.lower)
         # Without the term any shape will do.
         shape[:, k] = u if np.isfinite(u) else 0.5 * np.log(curve.n) - np.log(curve.rate)
     tangent = AllanDesign.of(model, curve).tangent(shape)
-    error = 2.0 * np.nan_to_num(first.discrepancy)
+    error = 2.0 * np.nan_to_num([found.discrepancy])
     none = np.zeros(power.shape, bool)
     return Hypotheses(tangent, curve.variance.T, none, none, none, power, error, np.zeros(shape.shape, bool))
 
