@@ -94,11 +94,6 @@ class Compared(NamedTuple):
         known = USUAL if isinstance(self.noise, dict) else self.of(axis) or USUAL
         return [symbol for label, symbol in USUAL.items() if label not in known]
 
-    @property
-    def rate_of_models(self) -> float | None:
-        """Sample rate of noise that is given as models [Hz]; None of other noise, which has its own."""
-        return self.rate if isinstance(self.noise, dict) else None
-
     def of(self, axis: str) -> Mapping[str, Estimate]:
         """Coefficients of an axis, or in a data sheet of its sensor; empty if there are none."""
         return self.coefficients.get(axis) or self.coefficients.get(axis.partition("_")[0]) or {}
@@ -574,7 +569,9 @@ def _growths(k: int, one: Compared) -> Iterator[Growth]:
     """Errors of a sensor's axes, and of heading and position as far as its axes allow."""
     if one.noise is None:
         return
-    sensors, t = sensors_of(one.noise, one.rate_of_models, 0), np.array(HORIZONS)
+    # Of other noise the rate is known.
+    rate = one.rate if isinstance(one.noise, dict) else None
+    sensors, t = sensors_of(one.noise, rate, 0), np.array(HORIZONS)
     far = t > _BEYOND * sensors.record
 
     def growth(name: str, absent: str, is_bound: bool, *numbers: Float[np.ndarray, " t"]) -> Growth:
@@ -586,7 +583,7 @@ def _growths(k: int, one: Compared) -> Iterator[Growth]:
         absent = "" if noise.drifts else NOT_GIVEN
         yield growth(name, absent, bool(noise.lacking), *drift(sensors, noise, t))
     try:
-        grown = navigate(one.noise, HORIZONS, rate=one.rate_of_models, schuler=True)
+        grown = navigate(one.noise, HORIZONS, rate=rate, schuler=True)
     except AllanjaxError:
         # Its axes make no navigator.
         return
