@@ -86,6 +86,11 @@ class AllanDeviation(ByValue, OfAxes):
     notes: tuple[str, ...] = ()
     determined: bool = True
 
+    @property
+    def unknown(self) -> tuple[str, ...]:
+        """A note if rate or length of the record is not known."""
+        return () if self.determined else ("no intervals without the rate and the length of its record",)
+
     @classmethod
     def of_pyramid(
         cls, pyramid: Pyramid, rate: float, axes: tuple[Axis, ...] | None = None
@@ -171,10 +176,12 @@ class AllanDeviation(ByValue, OfAxes):
     ) -> tuple[Float[np.ndarray, "m axes"], Float[np.ndarray, "m axes"]]:
         """Lower and upper end of the central interval of the deviation, as if edf · s²/σ² had the χ² law.
 
+        They are nan if the curve is not `determined`.
+
         Raises:
             AllanjaxError: `level` not between 0 and 1.
         """
-        lower, upper = chi_squared_factors(self.edf, level)
+        lower, upper = chi_squared_factors(self.edf if self.determined else np.nan * self.edf, level)
         return self.deviation * np.sqrt(lower), self.deviation * np.sqrt(upper)
 
     def to_dataframe(self) -> pd.DataFrame:

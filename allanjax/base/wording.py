@@ -75,6 +75,11 @@ def percent(share: float, digits: int = 2) -> str:
     return f"{plain(100.0 * share, digits)} %"
 
 
+def numbered(names: Sequence[str]) -> list[str]:
+    """The names, of which those that came before have their places, e.g. "imu" and "imu-2"."""
+    return [name if name not in names[:k] else f"{name}-{k + 1}" for k, name in enumerate(names)]
+
+
 def duration(seconds: float) -> str:
     """Duration as text, e.g. "600 s", "25 min" or "2.78 h"."""
     if seconds < 1000.0:

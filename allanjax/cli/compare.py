@@ -37,9 +37,9 @@ def compare(
     """Compare sensors of any grade.
 
     Compares coefficients with intervals, ratios and whether they differ, Allan
-    deviations over one another, drift after 1 min, 10 min and 1 h, and growth of
-    heading and position errors. Two recordings of one sensor, before and after a
-    change of the setup, are compared in the same way.
+    deviations over one another, and errors after 1 min, 10 min and 1 h, but no
+    more than three times the length of a record. Two recordings of one sensor,
+    before and after a change of the setup, are compared in the same way.
 
     For example:
       allanjax compare cimu hg1700 motionpak2

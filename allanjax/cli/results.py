@@ -382,8 +382,8 @@ def spec(result: Path, limits: Path, /, *, out: Written | None = None, json: boo
     exit_by([judged.verdict])
 
 
-def schema(name: Literal["check", "fit", "critique", "fleet", "horizon"], /) -> None:
-    """Print the JSON schema of what check, characterize, critique, fleet or horizon writes.
+def schema(name: Literal["check", "fit", "critique", "fleet", "horizon", "compare", "navigate"], /) -> None:
+    """Print the JSON schema of what a command writes.
 
     For example:
       allanjax schema fit > fit.schema.json

@@ -1,6 +1,7 @@
 """The commands that need no recording: `allanjax simulate`, `demo` and `convert`."""
 
 import math
+import sys
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -97,7 +98,7 @@ def simulate(
     except AllanjaxError as error:
         refuse(f"--terms: {error}")
     prepare()
-    from allanjax.noise.datasheet import datasheet
+    from allanjax.noise.datasheet import NOT_GIVEN, datasheet
     from allanjax.noise.simulate import simulate_recording
     from allanjax.record.io import write
     from allanjax.record.recording import Recording
@@ -114,6 +115,9 @@ def simulate(
             write(recording, path)
             size = f"{recording.n:,} samples at {recording.rate:g} Hz"
             print(f"wrote {path}: {', '.join(recording.names)}; {size}")
+        for note in recordings[0].notes:
+            if NOT_GIVEN in note:
+                print(f"warning: {note}", file=sys.stderr)
 
 
 def demo(*, out: Path = Path("allanjax-demo")) -> None:

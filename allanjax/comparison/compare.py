@@ -15,7 +15,7 @@ import itertools
 import math
 import os
 import tomllib
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from importlib.resources import files
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
@@ -28,26 +28,25 @@ from allanjax.allan.deviation import AllanDeviation
 from allanjax.base.equality import ByValue
 from allanjax.base.errors import AllanjaxError
 from allanjax.base.late import presented
-from allanjax.base.normal import ONE_SIDED_95, TWO_SIDED_68, TWO_SIDED_95
+from allanjax.base.normal import ONE_SIDED_95, TWO_SIDED_95
 from allanjax.base.tables import Column, Tabled, columns_from
 from allanjax.base.testing import holm
-from allanjax.base.wording import duration, format_range, plain, significant
-from allanjax.comparison.specification import least_deviation
+from allanjax.base.wording import duration, format_range, numbered, plain, significant
 from allanjax.critic.result import Critique
-from allanjax.estimate.as_json import in_json, load
+from allanjax.estimate.as_json import in_json, load_one
 from allanjax.estimate.fit import fit
+from allanjax.estimate.least_deviation import least_deviation
 from allanjax.estimate.result import Fit, detail
 from allanjax.navigation.likely import NoiseLike, Sensors, sensors_of
 from allanjax.navigation.navigator import navigate
-from allanjax.noise.datasheet import LEAST, MINIMUM, DataSheet, datasheet, datasheets
-from allanjax.noise.estimate import SYMBOLS, Estimate, usual_unit
-from allanjax.noise.model import Model, ModelParameter
+from allanjax.noise.datasheet import LEAST, MINIMUM, NOT_GIVEN, USUAL, DataSheet, datasheet, datasheets
+from allanjax.noise.estimate import SYMBOLS, Estimate, title_of, usual_unit
+from allanjax.noise.model import Model
 from allanjax.noise.simulate import SENSORS as PRESETS
 from allanjax.noise.simulate import SensorPreset
 from allanjax.noise.terms import AngleRandomWalk, BiasInstability
 from allanjax.record.io.given import RecordingLike, as_recording
-from allanjax.record.recording import Axis
-from allanjax.record.units import SENSORS, SI, Sensor, parse_quantity, unit_scale
+from allanjax.record.units import SENSORS, Sensor, parse_quantity, unit_scale
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -55,10 +54,12 @@ if TYPE_CHECKING:
 
 #: Horizons of the drift and the growth of errors [s]; probability of any difference among equal sensors.
 HORIZONS, LEVEL = (60.0, 600.0, 3600.0), 0.05
-# Short names of quantities without a symbol.
-_SHORT = {LEAST: "min σ"}
+# Coefficients that every sensor has, and which of N, B and K they are or follow from.
+_WANTED = {**USUAL, LEAST: "B"}
 _GRADES = ("grade of", "sensor", "by random walk", "by drift")
-# Nodes of the mean over a normal law.
+# Longest time of an error as a multiple of the record, and what stands for longer ones; nodes of the mean
+# over a normal law.
+_BEYOND, _TOO_SHORT = 3.0, "record too short"
 _NODES = 40
 
 
@@ -88,10 +89,10 @@ class Compared(NamedTuple):
     rate: float
     curve: AllanDeviation | None = None
 
-    @property
-    def rate_of_models(self) -> float | None:
-        """Sample rate of noise that is given as models [Hz]; None of other noise, which has its own."""
-        return self.rate if isinstance(self.noise, dict) else None
+    def lacking(self, axis: str) -> list[str]:
+        """Which of N, B and K a data sheet or the terms of a fit do not give; a preset is complete."""
+        known = USUAL if isinstance(self.noise, dict) else self.of(axis) or USUAL
+        return [symbol for label, symbol in USUAL.items() if label not in known]
 
     def of(self, axis: str) -> Mapping[str, Estimate]:
         """Coefficients of an axis, or in a data sheet of its sensor; empty if there are none."""
@@ -119,7 +120,10 @@ def compared(data: Comparable, label: str = "") -> Compared:
         source = f"data sheet: {data.source}" if data.source else "data sheet"
         return Compared(label or data.name, source, values, data, models, 100.0)
     if isinstance(data, SensorPreset):
-        return _of_preset(data, label)
+        values = {axis.name: _with_least(axis.estimates) for axis in data.axes}
+        models = {axis.name: axis.model for axis in data.axes}
+        rate = data.axes[0].rate
+        return Compared(label or data.name, data.description, values, models, models, rate)
     found = data if isinstance(data, Fit) else data.fit if isinstance(data, Critique) else fit(data)
     measured = {r.axis.name: r for r in found.results if r.measured}
     values = {name: {**r.coefficients, LEAST: least_deviation(found, r)[0]} for name, r in measured.items()}
@@ -128,30 +132,9 @@ def compared(data: Comparable, label: str = "") -> Compared:
     source = f"fit of {hours:.2g} h at {found.curve.rate:g} Hz"
     if not values:
         source += "; not a measurement of the sensor"
+    if not found.curve.determined:
+        source = f"fit of an Allan curve; {found.curve.unknown[0]}"
     return Compared(label or found.name, source, values, noise, models, found.curve.rate, found.curve)
-
-
-def _of_preset(preset: SensorPreset, label: str) -> Compared:
-    """A unit with the values and errors of its tables."""
-    values = {}
-    for axis in preset.axes:
-        sensor: Any = axis.name.partition("_")[0]
-        own = Axis(axis.name, sensor, SI[sensor]["rate"])
-        amplitudes = [p for p in axis.model.parameters if p.parameter.is_amplitude]
-        pairs = zip(amplitudes, axis.coefficients.values(), strict=True)
-        values[axis.name] = _with_least({p.label: _tabulated(own, p, known) for p, known in pairs})
-    models = {axis.name: axis.model for axis in preset.axes}
-    rate = preset.axes[0].rate
-    return Compared(label or preset.name, preset.description, values, models, models, rate)
-
-
-def _tabulated(axis: Axis, p: ModelParameter, known: Any) -> Estimate:
-    """A coefficient of a table with its error as the standard deviation."""
-    value, std = known.si, known.error * unit_scale(known.unit)
-    outer, inner = ((max(value - z * std, 0.0), value + z * std) for z in (TWO_SIDED_95, TWO_SIDED_68))
-    numbers: dict[str, Any] = {"value": value, "std": std, "interval": outer, "interval_68": inner}
-    about: dict[str, Any] = {"parameter": p.parameter, "term": p.term_label, "usual_unit": known.unit}
-    return Estimate(axis=axis, label=p.label, **numbers, **about)
 
 
 def _with_least(coefficients: dict[str, Estimate]) -> dict[str, Estimate]:
@@ -169,15 +152,9 @@ def _opened(data: Comparable) -> Any:
     if not isinstance(data, str | os.PathLike):
         return as_recording(data)
     path, name = Path(data), str(data)
-    if path.exists() and path.suffix == ".json":
-        found = load(path)
-        if isinstance(found, Fit):
-            return found
-        raise AllanjaxError(f"{path}: has {len(found)} fits ({', '.join(found)}); give files with one each")
-    if path.exists() and path.suffix == ".toml":
-        return datasheet(path)
     if path.exists():
-        return as_recording(path)
+        readers: dict[str, Any] = {".json": load_one, ".toml": datasheet}
+        return readers.get(path.suffix, as_recording)(path)
     if name in PRESETS:
         return PRESETS[name]
     if path.suffix:
@@ -206,25 +183,6 @@ def grades() -> tuple[Mapping[str, Mapping[tuple[str, str], float]], str]:
                 limits[sensor, label] = float(value) * unit_scale(unit, sensor)
         found[name] = limits
     return found, source
-
-
-def grade(estimates: Iterable[Estimate], sensor: Sensor, label: str) -> str:
-    """Grade of a sensor by the largest of its axes, e.g. "tactical" or "navigation to tactical".
-
-    It is the first whose limit is not exceeded, at both ends of the 95 % interval; "" without a limit.
-    """
-    known = [e for e in estimates if e.detected or e.held or e.upper_limit is not None]
-    limits = [(name, of[sensor, label]) for name, of in grades()[0].items() if (sensor, label) in of]
-    if not known or not limits:
-        return ""
-
-    def first(size: float) -> str:
-        return next((name for name, limit in limits if size <= limit), LAST)
-
-    high = max((e.interval[1] if e.detected else e.upper_limit or e.value) for e in known)
-    low = max((e.interval[0] if e.detected else 0.0) for e in known)
-    best, worst = first(low), first(high)
-    return best if best == worst else f"{best} to {worst}"
 
 
 class Difference(NamedTuple):
@@ -260,6 +218,10 @@ class Difference(NamedTuple):
         ratio = significant(self.ratio) if np.isfinite(self.ratio) else ""
         p = "" if self.corrected is None else plain(self.corrected, 2) if self.corrected >= 1e-4 else "< 10⁻⁴"
         return ratio, _between(self.interval), p, self.verdict
+
+
+# Of the reference itself, and where one has no coefficient.
+_UNTESTED = Difference(math.nan, (math.nan, math.nan), None)
 
 
 def difference(one: Estimate, reference: Estimate) -> Difference:
@@ -319,18 +281,23 @@ class Row(NamedTuple):
         parameter, differ = known[0].parameter, len({c.usual_unit for c in known}) > 1
         return usual_unit(parameter, self.sensor) if differ and parameter else known[0].usual_unit
 
-    def cells(self, names: Sequence[str]) -> Iterator[tuple[str, ...]]:
-        """Row of the printed table for each sensor that has the coefficient."""
-        for name, c, d in zip(names, self.estimates, self.differences, strict=True):
-            if c is not None:
-                title = c.symbol or _SHORT.get(c.label, c.title)
-                yield (
-                    self.axis,
-                    title,
-                    name,
-                    detail(c, self.unit)[2],
-                    *(("",) * 4 if d is None else d.cells()),
-                )
+    @property
+    def symbol(self) -> str:
+        """Symbol or short name of the coefficient."""
+        if self.label == LEAST:
+            return "min σ"
+        return SYMBOLS.get(self.label) or title_of(self.label, self.sensor)
+
+    def is_lacking(self, one: Compared) -> bool:
+        """Whether N, B or K, or what the coefficient follows from, is not given for a sensor."""
+        return _WANTED.get(self.label) in one.lacking(self.axis)
+
+    def cells(self, sensors: Sequence[Compared]) -> Iterator[tuple[str, ...]]:
+        """Row of the printed table for each sensor that has the coefficient, or should have it."""
+        for one, c, d in zip(sensors, self.estimates, self.differences, strict=True):
+            if c is not None or self.is_lacking(one):
+                value = NOT_GIVEN if c is None else detail(c, self.unit)[2]
+                yield self.axis, self.symbol, one.label, value, *(d or _UNTESTED).cells()
 
 
 class Growth(NamedTuple):
@@ -338,8 +305,12 @@ class Growth(NamedTuple):
 
     Attributes:
         sensor: number of the sensor in the comparison.
-        name: an axis, "heading" or "position".
+        name: an axis, whose error is that of the integrated rate; or "heading" or "position", the errors of a
+            navigator at rest, see `navigate`.
         value, lower, upper: at each horizon; the ends are nan for what is taken as exact.
+        is_bound: whether the value is a lower bound, as not all of N, B and K are given.
+        reasons: why there is no value: it is beyond three times the record, or neither B nor K is given for
+            the axis; "" where there is.
     """
 
     sensor: int
@@ -347,6 +318,22 @@ class Growth(NamedTuple):
     value: Float[np.ndarray, " t"]
     lower: Float[np.ndarray, " t"]
     upper: Float[np.ndarray, " t"]
+    is_bound: bool
+    reasons: tuple[str, ...]
+
+    @property
+    def place(self) -> int:
+        """Place of its kind among those of `SHOWN`."""
+        return next(k for k, begin in enumerate(SHOWN) if self.name.startswith(begin))
+
+    def cells(self) -> Iterator[str]:
+        """Values with their intervals and units."""
+        unit, size = [*SHOWN.values()][self.place]
+        for value, low, high, why in zip(self.value, self.lower, self.upper, self.reasons, strict=True):
+            to, by = ("km", 1e3) if unit == "m" and value > 1e5 else (unit, size)
+            ends = f" ({format_range(low / by, high / by)})" if np.isfinite(high) else ""
+            least = "≥ " if self.is_bound else ""
+            yield why or f"{least}{significant(value / by)}{ends} {to}"
 
 
 @dataclasses.dataclass(frozen=True, eq=False, repr=False)
@@ -364,23 +351,11 @@ class Comparison(ByValue, Tabled):
     rows: tuple[Row, ...]
 
     @functools.cached_property
-    def drifts(self) -> tuple[Growth, ...]:
-        """Predicted error of the integrated rate of each axis after the `HORIZONS`."""
-        found = []
-        for k, one in enumerate(self.sensors):
-            if one.noise is not None:
-                own = sensors_of(one.noise, one.rate_of_models, 0)
-                each = own.axes.items()
-                found += [Growth(k, name, *drift(own, noise, np.array(HORIZONS))) for name, noise in each]
-        # Of a data sheet, the drift of any axis stands below those of the axes.
-        found.sort(key=lambda g: (g.name.partition("_")[0] != "gyro", "_" not in g.name, g.name))
-        return tuple(found)
-
-    @functools.cached_property
     def growths(self) -> tuple[Growth, ...]:
-        """Heading and position errors of a navigator at rest after the `HORIZONS`, see `navigate`."""
+        """Errors after the `HORIZONS`: of each axis's integrated rate, and of a navigator at rest."""
         every = (g for k, one in enumerate(self.sensors) for g in _growths(k, one))
-        return tuple(sorted(every, key=lambda g: g.name))
+        # Of a data sheet, the drift of any axis stands below those of the axes.
+        return tuple(sorted(every, key=lambda g: (g.place, "_" not in g.name, g.name)))
 
     @property
     def labels(self) -> tuple[str, ...]:
@@ -403,32 +378,28 @@ class Comparison(ByValue, Tabled):
     def _records(self) -> list[dict[str, Any]]:
         rows = []
         for row in self.rows:
-            for label, c, d in zip(self.labels, row.estimates, row.differences, strict=True):
-                if c is not None:
-                    ends = (math.nan, math.nan) if d is None else d.interval
-                    rows.append(
-                        c.row()
-                        | {"axis": row.axis, "sensor": label, "ratio": math.nan if d is None else d.ratio}
-                        | {"ratio_lower_95": ends[0], "ratio_upper_95": ends[1]}
-                        | {"p_value": None if d is None else d.corrected, "differs": d and d.differs}
-                    )
+            for one, c, tested in zip(self.sensors, row.estimates, row.differences, strict=True):
+                if c is None and not row.is_lacking(one):
+                    continue
+                d, known = tested or _UNTESTED, {"coefficient": row.label, "value": math.nan}
+                reason = None if c is not None else NOT_GIVEN
+                of = {"axis": row.axis, "sensor": one.label, "reason": reason, "ratio": d.ratio}
+                of |= zip(("ratio_lower_95", "ratio_upper_95"), d.interval, strict=True)
+                of |= {"p_value": d.corrected, "differs": d.differs}
+                rows.append((known if c is None else c.row()) | of)
         return rows
 
     def to_dict(self) -> dict[str, Any]:
         """The comparison as plain dictionaries and lists, for JSON; growth in SI."""
-        left_out = ("median", "lower_68", "upper_68")
         growths = [
-            {"sensor": self.labels[g.sensor], "of": g.name}
-            | {name: getattr(g, name) for name in ("value", "lower", "upper")}
-            for g in (*self.drifts, *self.growths)
+            {"sensor": self.labels[g.sensor], "of": g.name, "reasons": [why or None for why in g.reasons]}
+            | {name: getattr(g, name) for name in ("value", "lower", "upper", "is_bound")}
+            for g in self.growths
         ]
         return {
             "sensors": [{"name": one.label, "source": one.source} for one in self.sensors],
             "reference": self.labels[self.reference],
-            "coefficients": [
-                in_json({name: x for name, x in row.items() if name not in left_out})
-                for row in self._records()
-            ],
+            "coefficients": in_json(self._records()),
             "horizons_s": list(HORIZONS),
             "grades": [dict(zip(_GRADES, row, strict=True)) for row in self.grades],
             "growth": in_json(growths),
@@ -444,56 +415,53 @@ class Comparison(ByValue, Tabled):
 
     def _tables(self) -> list[list[Column]]:
         heads = ("axis", "of", "sensor", "value", "ratio", "95 %", "p", "differs")
-        cells = [cell for row in self.rows for cell in row.cells(self.labels)]
+        cells = [cell for row in self.rows for cell in row.cells(self.sensors)]
         times = [f"after {duration(t)}" for t in HORIZONS]
-        tables = [columns_from(heads, cells), self._identified(), columns_from(_GRADES, self.grades)]
-        for title, growths in (("drift", self.drifts), ("error", self.growths)):
-            if growths:
-                rows = [(g.name, self.labels[g.sensor], *map(_shown, [g.name] * 3, *g[2:])) for g in growths]
-                tables.append(columns_from((title, "sensor", *times), rows))
-        return tables
-
-    def _identified(self) -> list[Column]:
-        """Terms that each sensor has on any axis, as in Hou (2004) table 5.6; "<": only a limit is known."""
-        labels = list(dict.fromkeys(row.label for row in self.rows if row.label != LEAST))
-        labels.sort(key=[*SYMBOLS, *labels].index)
-        cells = []
-        for kind, (k, name) in itertools.product(SENSORS, enumerate(self.labels)):
-            known = [(row.label, row.estimates[k]) for row in self.rows if row.sensor == kind]
-            own = {label: [_mark(c) for other, c in known if other == label] for label in labels}
-            if any(map(any, own.values())):
-                cells.append((kind, name, *(max(marks, default="") for marks in own.values())))
-        heads = [SYMBOLS.get(label, label.replace("_", " ")) for label in labels]
-        return columns_from(("terms of", "sensor", *heads), cells)
+        tables = [columns_from(heads, cells), columns_from(_GRADES, self.grades)]
+        rows = [(g.name, self.labels[g.sensor], *g.cells()) for g in self.growths]
+        return [*tables, columns_from(("error of", "sensor", *times), rows)] if rows else tables
 
     @property
     def grades(self) -> list[tuple[str, str, str, str]]:
         """Sensor, what it is called, and its grades by random walk and by least Allan deviation."""
         found = []
-        for kind, (k, name) in itertools.product(SENSORS, enumerate(self.labels)):
-            own = [row for row in self.rows if row.sensor == kind]
-            graded = [
-                grade([c for row in own if row.label == label and (c := row.estimates[k])], kind, label)
-                for label in (AngleRandomWalk.name(), LEAST)
-            ]
-            if any(graded):
-                found.append((str(kind), name, *graded))
-        return found  # type: ignore[return-value]
+        for kind, k in itertools.product(SENSORS, range(len(self.sensors))):
+            walk, least = (self._grade(kind, k, label) for label in (AngleRandomWalk.name(), LEAST))
+            if walk or least:
+                found.append((str(kind), self.labels[k], walk, least))
+        return found
+
+    def _grade(self, kind: Sensor, k: int, label: str) -> str:
+        """Grade of a sensor by the largest of its axes, e.g. "tactical" or "navigation to tactical".
+
+        It is the first whose limit is not exceeded, at both ends of the 95 % interval; "" without limits.
+        """
+        limits = [(name, of[kind, label]) for name, of in grades()[0].items() if (kind, label) in of]
+        rows = [row for row in self.rows if (row.sensor, row.label) == (kind, label)]
+        known = [c for c in (row.estimates[k] for row in rows) if c and (c.detected or c.upper_limit)]
+        if not limits or not known:
+            lacks = any(row.is_lacking(self.sensors[k]) for row in rows)
+            return NOT_GIVEN if limits and lacks else ""
+        # An interval that is nan, as of a curve of unknown length, leaves the value.
+        low = max(np.fmin(c.interval[0], c.value) if c.detected else 0.0 for c in known)
+        high = max(np.fmax(c.interval[1], c.value) if c.detected else c.upper_limit or 0.0 for c in known)
+        names = [next((name for name, limit in limits if x <= limit), LAST) for x in (low, high)]
+        return " to ".join(dict.fromkeys(names))
 
     def _notes(self) -> Iterator[str]:
         yield from (f"{one.label}: {one.source}" for one in self.sensors)
-        yield f"grade: at best, by the worst axis; drift by the least Allan deviation; limits: {grades()[1]}"
-
-
-def _mark(c: Estimate | None) -> str:
-    """Whether a term is detected: "yes", "<" for a limit, "" for nothing."""
-    return "" if c is None else "yes" if c.detected or c.held else "<"
+        yield (
+            "min σ: the least Allan deviation at any cluster time. not given: by the data sheet or the terms "
+            f"of the fit; ≥: at least, without what is not given. {_TOO_SHORT}: the time is more than three "
+            "times its length"
+        )
+        yield f"grade: the best whose limits no axis exceeds, of drift by min σ; limits: {grades()[1]}"
 
 
 def _between(ends: tuple[float, float]) -> str:
     """Interval of a ratio, or its limit."""
     low, high = ends
-    if low == high:
+    if not low < high:
         return ""
     if math.isinf(high):
         return f"> {significant(low)}" if low > 0.0 else ""
@@ -509,22 +477,15 @@ SHOWN = {
 }
 
 
-def _shown(name: str, value: float, low: float, high: float) -> str:
-    """A drift or an error with its interval, and its unit."""
-    unit, size = next(unit for begin, unit in SHOWN.items() if name.startswith(begin))
-    if unit == "m" and value > 1e5:
-        unit, size = "km", 1e3
-    ends = f" ({format_range(low / size, high / size)})" if np.isfinite(low) else ""
-    return f"{significant(value / size)}{ends} {unit}"
-
-
 def compare(*data: Comparable, labels: Sequence[str] | None = None, reference: int | str = 0) -> Comparison:
     """Compare sensors of any grade: recordings, fits, data sheets, presets and published curves.
 
     Coefficients that each sensor has are compared with those of the reference, with intervals, ratios and a
     test that is corrected for the number of coefficients. The drift of each axis after 1 min, 10 min and 1 h
     is that of the integrated rate, √2·t·σ_A(t), if the bias is the mean over an equally long time before;
-    heading and position errors are those of a navigator at rest with the Schuler loop, see `navigate`.
+    heading and position errors are those of a navigator at rest with the Schuler loop, see `navigate`. They
+    are given up to three times the length of a record. What a data sheet or the terms of a fit do not give is
+    not zero: a drift without B and K is not given, and other errors are lower bounds.
 
     Args:
         data: the sensors: what `fit`, `critique`, `datasheet` or `read_curve` returned, a recording or what
@@ -540,8 +501,9 @@ def compare(*data: Comparable, labels: Sequence[str] | None = None, reference: i
         raise AllanjaxError("give two or more sensors to compare, e.g. compare(fit, 'BMI088')")
     if labels is not None and len(labels) != len(data):
         raise AllanjaxError(f"{len(labels)} labels for {len(data)} sensors: give one for each")
-    sensors = _distinct([compared(*pair) for pair in zip(data, labels or [""] * len(data), strict=True)])
-    names = [one.label for one in sensors]
+    sensors = [compared(*pair) for pair in zip(data, labels or [""] * len(data), strict=True)]
+    names = numbered([one.label or "sensor" for one in sensors])
+    sensors = [one._replace(label=name) for one, name in zip(sensors, names, strict=True)]
     if isinstance(reference, str):
         if reference not in names:
             raise AllanjaxError(f"no sensor {reference!r}; the sensors are {', '.join(names)}")
@@ -549,15 +511,6 @@ def compare(*data: Comparable, labels: Sequence[str] | None = None, reference: i
     elif not 0 <= reference < len(sensors):
         raise AllanjaxError(f"reference= is the number of a sensor, 0 to {len(sensors) - 1}, not {reference}")
     return Comparison(tuple(sensors), reference, _rows(sensors, reference, axes_of(sensors)))
-
-
-def _distinct(sensors: Sequence[Compared]) -> list[Compared]:
-    """The sensors with different labels: equal ones are numbered."""
-    names = [one.label or "sensor" for one in sensors]
-    return [
-        one._replace(label=f"{name} ({names[: k + 1].count(name)})" if names.count(name) > 1 else name)
-        for k, (one, name) in enumerate(zip(sensors, names, strict=True))
-    ]
 
 
 def axes_of(sensors: Sequence[Compared]) -> list[str]:
@@ -576,23 +529,21 @@ def _rows(sensors: Sequence[Compared], reference: int, axes: Sequence[str]) -> t
     rows = []
     for axis in axes:
         every = [one.of(axis) for one in sensors]
+        lacking = {symbol for one in sensors for symbol in one.lacking(axis)}
+        found = [c for of in every for c in of.values() if c.is_amplitude or c.label == LEAST]
+        held = [c.label for c in found if c.detected or c.held or c.label in _WANTED]
+        held += [label for label, symbol in _WANTED.items() if symbol in lacking]
         # Terms that only one sensor has are its structure, except for the basic ones.
-        held = [
-            n
-            for of in every
-            for n, c in of.items()
-            if (c.is_amplitude or n == LEAST) and (c.detected or c.held)
-        ]
         names = dict.fromkeys(n for n in held if n in (*SYMBOLS, LEAST) or held.count(n) > 1)
         for label in sorted(names, key=lambda name: [*SYMBOLS, *names].index(name)):
-            found = tuple(of.get(label) for of in every)
-            base = found[reference]
+            estimates = tuple(of.get(label) for of in every)
+            base = estimates[reference]
             pairs = tuple(
                 None if k == reference or c is None or base is None else difference(c, base)
-                for k, c in enumerate(found)
+                for k, c in enumerate(estimates)
             )
             sensor: Any = axis.partition("_")[0]
-            rows.append(Row(axis, sensor, label, found, pairs))
+            rows.append(Row(axis, sensor, label, estimates, pairs))
     tested = [d for row in rows for d in row.differences if d is not None]
     corrected = iter(holm([d.p_value for d in tested]))
     return tuple(
@@ -615,16 +566,30 @@ def drift(
 
 
 def _growths(k: int, one: Compared) -> Iterator[Growth]:
-    """Heading and position errors of a sensor, as far as its axes allow."""
+    """Errors of a sensor's axes, and of heading and position as far as its axes allow."""
     if one.noise is None:
         return
+    # Of other noise the rate is known.
+    rate = one.rate if isinstance(one.noise, dict) else None
+    sensors, t = sensors_of(one.noise, rate, 0), np.array(HORIZONS)
+    far = t > _BEYOND * sensors.record
+
+    def growth(name: str, absent: str, is_bound: bool, *numbers: Float[np.ndarray, " t"]) -> Growth:
+        reasons = tuple(_TOO_SHORT if beyond else absent for beyond in far)
+        value, low, high = np.where(np.array(reasons) == "", numbers, np.nan)
+        return Growth(k, name, value, low, high, is_bound, reasons)
+
+    for name, noise in sensors.axes.items():
+        absent = "" if noise.drifts else NOT_GIVEN
+        yield growth(name, absent, bool(noise.lacking), *drift(sensors, noise, t))
     try:
-        grown = navigate(one.noise, HORIZONS, rate=one.rate_of_models, schuler=True)
+        grown = navigate(one.noise, HORIZONS, rate=rate, schuler=True)
     except AllanjaxError:
         # Its axes make no navigator.
         return
     for name, quantity, channel in (("heading", "attitude", "down"), ("position", "position", "north")):
-        growth = next((g for g in grown.growths if g.quantity == quantity), None)
-        if growth is not None and channel in growth.channels:
-            at = growth.channels.index(channel)
-            yield Growth(k, name, growth.error[at], growth.lower[at], growth.upper[at])
+        own = next((g for g in grown.growths if g.quantity == quantity), None)
+        if own is not None and channel in own.channels:
+            at = own.channels.index(channel)
+            numbers = own.error[at], own.lower[at], own.upper[at]
+            yield growth(name, "", channel in own.bounds, *numbers)

@@ -21,17 +21,17 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Float
 
 from allanjax.allan.deviation import AllanDeviation
 from allanjax.base.errors import AllanjaxError, FitError
+from allanjax.base.wording import numbered
 from allanjax.comparison.random_effects import Laws, RandomEffects, random_effects
 from allanjax.comparison.repeatability import AxisJoint, JointCoefficient, JointFit
 from allanjax.estimate.as_json import load_one
 from allanjax.estimate.axis_fits import check_terms
-from allanjax.estimate.bulk import fit_many
 from allanjax.estimate.design import AllanDesign, free_powers, free_shapes, model_to_fit
-from allanjax.estimate.fit import fit
+from allanjax.estimate.fit import fit, fit_curve
 from allanjax.estimate.inference import Hypotheses, estimate_of, reported, skewness_of
 from allanjax.estimate.result import AxisFit, Fit
 from allanjax.estimate.selection import AxisSelection, TermSet, pooled
@@ -83,12 +83,14 @@ def joint_fit(
     called = [f.name or str(k) for k, f in enumerate(fits, 1)] if names is None else list(map(str, names))
     if len(called) != len(fits):
         raise AllanjaxError(f"{len(fits)} recordings need {len(fits)} names, not {len(called)}")
-    called = [name if called.index(name) == k else f"{name}-{k + 1}" for k, name in enumerate(called)]
+    called = numbered(called)
     results, notes = [], list[str]()
     for axis in dict.fromkeys(name for f in fits for name in f.axes):
-        here = {name: f for name, f in zip(called, fits, strict=True) if axis in f and f[axis].measured}
+        usable = (axis in f and f[axis].measured and f.curve.determined for f in fits)
+        here = {name: f for name, f, use in zip(called, fits, usable, strict=True) if use}
         if absent := [name for name in called if name not in here]:
-            notes.append(f"{axis}: without {', '.join(absent)}, where it is absent or not a measurement")
+            why = "where it is absent, not a measurement, or has no interval"
+            notes.append(f"{axis}: without {', '.join(absent)}, {why}")
         if len(here) > 1:
             results.append(_of_axis(axis, here, model))
     if not results:
@@ -170,31 +172,24 @@ def _together(axis: Axis, fits: Mapping[str, Fit]) -> AxisSelection | None:
 class _Records:
     """One axis of several recordings, and a model with the terms of all.
 
-    `groups` are the recordings of one length and rate, by their rows. The curves of all others do not
+    `fitted` are the model's fits to the curves of recordings, by their rows. The curves of others do not
     suffice: their fits' own estimates are used.
     """
 
     model: Model
     names: list[str]
     results: list[AxisFit]
-    groups: list[tuple[Int[np.ndarray, " rows"], AllanDeviation, Hypotheses]]
+    fitted: dict[int, tuple[AxisFit, Hypotheses]]
 
     @classmethod
     def of(cls, name: str, fits: Mapping[str, Fit], model: Model) -> _Records:
-        results, alike = [f[name] for f in fits.values()], dict[Any, list[int]]()
-        curves = [f.curve for f in fits.values()]
-        for row, (curve, result) in enumerate(zip(curves, results, strict=True)):
-            if result.own_template is None and not curve.others:
-                place = curve.n, curve.rate, curve.estimator, tuple(curve.cluster_size.tolist())
-                alike.setdefault(place, []).append(row)
-        groups = []
-        for rows in alike.values():
-            deviation = np.concatenate([curves[row][name].deviation for row in rows], axis=1)
-            axes = tuple(dataclasses.replace(results[row].axis, name=f"{row}") for row in rows)
-            curve, edf = curves[rows[0]], np.ones(deviation.shape)
-            curve = dataclasses.replace(curve, deviation=deviation, edf=edf, axes=axes)
-            groups.append((np.array(rows), curve, _hypotheses(curve, model)))
-        return cls(model, list(fits), results, groups)
+        results, fitted = [f[name] for f in fits.values()], {}
+        for row, (f, result) in enumerate(zip(fits.values(), results, strict=True)):
+            if result.own_template is None and not f.curve.others:
+                curve = f.curve[name]
+                found = fit_curve(curve, model)[name]
+                fitted[row] = found, _hypotheses(curve, model, found)
+        return cls(model, list(fits), results, fitted)
 
     @property
     def places(self) -> dict[str, int]:
@@ -215,23 +210,23 @@ class _Records:
             elif c.detected:
                 distance = c.value - p.parameter.lower
                 found[:, row, self.places[p.label]] = np.log(distance), (c.std / distance) ** 2, 0.0
-        for rows, _, at in self.groups:
-            p, fitted = power[rows], np.broadcast_to(free_powers(self.model), power[rows].shape)
-            estimated = np.concatenate([fitted, p[:, at.tangent.owner] > 0.0], axis=1)
-            X, weighed, covariance, step = at.linearized(p, estimated)
+        for row, (_, at) in self.fitted.items():
+            own = power[[row]]
+            estimated = np.append(free_powers(self.model), own[0, at.tangent.owner] > 0.0)[None]
+            X, weighed, covariance, step = at.linearized(own, estimated)
             sd = np.sqrt(np.where(estimated, np.einsum("rpp->rp", covariance), np.nan))
             # Shapes, whose estimates may be negative, count as without power.
-            around = np.pad(p, ((0, 0), (0, sd.shape[1] - terms)))
+            around = np.pad(own, ((0, 0), (0, sd.shape[1] - terms)))
             skewness = skewness_of(X @ covariance, weighed @ covariance, sd, around)
-            wider = np.array([[self.results[row].widening] for row in rows])
-            found[:, rows] = step + around, (sd * wider) ** 2, np.maximum(skewness, 0.0)
+            variance = (sd * self.results[row].widening) ** 2
+            found[:, [row]] = step + around, variance, np.maximum(skewness, 0.0)
         return found
 
     def settled(self) -> tuple[_Forms, _Terms]:
         """Estimates and powers drawn towards the common ones, after a few rounds."""
         power = np.zeros((len(self.results), len(self.model)))
-        for rows, _, at in self.groups:
-            power[rows] = at.power
+        for row, (_, at) in self.fitted.items():
+            power[row] = at.power
         for _ in range(_ROUNDS):
             forms = self.forms(power)
             for k in range(len(self.model)):
@@ -248,7 +243,7 @@ class _Records:
     def coefficients(self, found: Mapping[str, float]) -> dict[str, JointCoefficient]:
         """The coefficients, with what is common to all recordings."""
         axis, result = self.results[0].axis, {}
-        (forms, power), own = self.settled(), self._own_estimates(self.model)
+        (forms, power), own = self.settled(), self._own_estimates()
         for p in (p for p in reported(self.model) if p.free):
             k = self.places[p.label]
             rows = [r for r, of in enumerate(own) if p.label in of and np.isfinite(forms[1, r, k])]
@@ -275,39 +270,27 @@ class _Records:
             result[p.label] = JointCoefficient(common, records, scatter, effects, scale)
         return result
 
-    def _own_estimates(self, template: Model) -> list[dict[str, Estimate]]:
+    def _own_estimates(self) -> list[Mapping[str, Estimate]]:
         """Each recording's estimates of the joint model's coefficients by label."""
-        own: list[dict[str, Estimate]] = [dict(r.coefficients) for r in self.results]
-        for rows, curve, _ in self.groups:
-            bulk = fit_many(curve, template)
-            numbers = np.stack([bulk.value, bulk.std, bulk.lower, bulk.upper, bulk.upper_limit])
-            for place, row in enumerate(rows.tolist()):
-                own[row] = {}
-                for k, p in enumerate(reported(template)):
-                    value, std, low, high, limit = numbers[:, place, k].tolist()
-                    ends = [low, high, max(value - std, p.parameter.lower), value + std, limit]
-                    seen = bool(bulk.detected[place, k])
-                    c = estimate_of(p, self.results[0].axis, value, std, ends, seen)
-                    if np.isfinite(value):
-                        own[row][p.label] = c.widened(self.results[row].widening)
+        own = [r.coefficients for r in self.results]
+        for row, (of, _) in self.fitted.items():
+            own[row] = of.widened(self.results[row].widening).coefficients if of.converged else {}
         return own
 
 
-def _hypotheses(curve: AllanDeviation, model: Model) -> Hypotheses:
-    """Curves at the best fit of a model."""
-    first, count = fit_many(curve, model), len(curve.names)
-    power, shape = np.zeros((count, len(model))), np.zeros((count, len(free_shapes(model))))
-    values = dict(zip(first.coefficients, first.value.T, strict=True))
+def _hypotheses(curve: AllanDeviation, model: Model, found: AxisFit) -> Hypotheses:
+    """A curve of one axis at the best fit of a model."""
+    power, shape = np.zeros((1, len(model))), np.zeros((1, len(free_shapes(model))))
+    values = {label: c.value for label, c in (found.coefficients if found.converged else {}).items()}
     for p in model.parameters:
         if p.parameter.is_amplitude and p.label in values:
             power[:, p.term] = np.nan_to_num(values[p.label]) ** 2
     for k, p in enumerate(free_shapes(model)):
-        u = np.log(values[p.label] - p.parameter.lower)
-        # Where no recording has the term, any shape will do.
-        known = u[np.isfinite(u)] if np.isfinite(u).any() else 0.5 * np.log(curve.n) - np.log(curve.rate)
-        shape[:, k] = np.where(np.isfinite(u), u, np.median(known))
+        u = np.log(values.get(p.label, np.nan) - p.parameter.lower)
+        # Without the term any shape will do.
+        shape[:, k] = u if np.isfinite(u) else 0.5 * np.log(curve.n) - np.log(curve.rate)
     tangent = AllanDesign.of(model, curve).tangent(shape)
-    error = 2.0 * np.nan_to_num(first.discrepancy)
+    error = 2.0 * np.nan_to_num([found.discrepancy])
     none = np.zeros(power.shape, bool)
     return Hypotheses(tangent, curve.variance.T, none, none, none, power, error, np.zeros(shape.shape, bool))
 

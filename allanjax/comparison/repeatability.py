@@ -80,12 +80,12 @@ class JointCoefficient(ByValue):
         below, above = np.hypot(second - low_2, high - first), np.hypot(high_2 - second, first - low)
         return size, float(size - below), float(size + above)
 
-    def _last(self, scale: float) -> str:
+    def _last(self) -> str:
         """Last cell of the printed table: the difference of two recordings, or the odd one of more."""
-        size, *ends = (significant(x * scale, 2) for x in self.difference)
+        e, c = self.effects, self.common
         if len(self.records) == 2:
-            return f"{size} ({' … '.join(ends)})"
-        e = self.effects
+            numbers = (significant(convert(x, c.unit, c.usual_unit), 2) for x in self.difference)
+            return "{} ({} … {})".format(*numbers)
         return f"{e.odd_one}, {format_p_value(e.odd_p_value)}" if e.odd_one else "none"
 
     def column(self, names: Sequence[str]) -> Column:
@@ -102,7 +102,7 @@ class JointCoefficient(ByValue):
             spread if np.isfinite(self.relative_scatter) else "",
             Number(convert(self.sample_std, self.common.unit, common.unit)),
             format_p_value(e.p_value),
-            self._last(convert(1.0, self.common.unit, common.unit)),
+            self._last(),
         ]
         return column(common.symbol or common.title, common.unit, cells)
 

@@ -11,7 +11,6 @@ from pathlib import Path
 from typing import Any, Literal, NamedTuple, TypeAlias
 
 import numpy as np
-from jaxtyping import Float
 
 from allanjax.base.equality import ByValue
 from allanjax.base.errors import AllanjaxError
@@ -21,6 +20,7 @@ from allanjax.base.tables import Column, Tabled, columns_from
 from allanjax.base.wording import duration, percent, significant
 from allanjax.estimate.as_json import in_both_units, in_json
 from allanjax.estimate.check import length_for, random_terms, trial_lengths
+from allanjax.estimate.least_deviation import least_deviation
 from allanjax.estimate.result import AxisFit, Fit, detail
 from allanjax.noise.datasheet import LEAST, Figures
 from allanjax.noise.estimate import SYMBOLS, Estimate, is_called
@@ -35,8 +35,6 @@ MET, MISSED = 0.95, 0.05
 # Keys of a section that answer what a figure leaves open, and figures that are no limits.
 _ANSWERS = ("meaning", "sided", "bandwidth", "bandwidth_is", "reading")
 _NO_LIMITS = ("lsb", "rate", "conditions")
-# Draws of the least deviation, cluster times at which it is sought, and how far a model is extrapolated.
-_DRAWS, _TIMES, _FAR = 2000, 100, 1e6
 
 
 class Limit(NamedTuple):
@@ -191,6 +189,8 @@ class LimitCheck(ByValue):
         if c is None or c.held or (most is None and not c.detected):
             return ""
         value, low, high = (percent(1.0 - x / size) for x in (c.value, *c.interval[::-1]))
+        if c.detected and math.isnan(c.interval[1]):
+            return value
         least = "" if most is None else f"≥ {percent(1.0 - most / size)}"
         return f"{value} ({low.removesuffix(' %')} … {high.removesuffix(' %')})" if c.detected else least
 
@@ -333,6 +333,8 @@ def _checked(fit: Fit, name: str, limit: Limit) -> LimitCheck:
         return LimitCheck(name, limit, reason="this term was not fitted; fit it with terms= (--terms)")
     if c.held:
         return LimitCheck(name, limit, c, reason="the value was given and not estimated")
+    if not fit.curve.determined:
+        return LimitCheck(name, limit, c, reason=fit.curve.unknown[0])
     least = c.probability_below(limit.value)
     # The laws of the two differ, so that the greatest may come out below the least.
     greatest = max(least, floor.probability_below(limit.value)) if floor.detected else 1.0
@@ -351,43 +353,6 @@ def _checked(fit: Fit, name: str, limit: Limit) -> LimitCheck:
     return dataclasses.replace(found, seconds=seconds, reason=reason)
 
 
-def _times(fit: Fit) -> Float[np.ndarray, " t"]:
-    """Cluster times [s] within the record, and then as many beyond it."""
-    first, last = (float(fit.curve.cluster_time[k]) for k in (0, -1))
-    return np.append(np.geomspace(first, last, _TIMES), last * np.geomspace(2.0, _FAR, _TIMES))
-
-
-def least_deviation(fit: Fit, of: AxisFit) -> tuple[Estimate, Estimate]:
-    """Least Allan deviation within the record, with the draws of the likely models.
-
-    Where the model fits, they are within what the measured curve allows. If the stated curve is least at the
-    end of the record, it is an upper limit only, and the second estimate is the least of the models
-    extrapolated, unless that is zero.
-    """
-    time, name, unit = _times(fit), of.axis.name, default_coefficient_unit(of.axis.sensor, 0.0)
-    drawn, stated = fit.drawn_deviations(name, time, _DRAWS), fit.model_deviation(name, time)
-
-    def estimate(to: int, detected: bool) -> Estimate:
-        draws = drawn[:, :to].min(axis=1)
-        levels = [0.025, 0.16, 0.5, 0.84, 0.975, MET]
-        low, low_68, value, high_68, high, most = np.quantile(draws, levels).tolist()
-        return Estimate(
-            axis=of.axis,
-            label=LEAST,
-            value=value,
-            std=(high_68 - low_68) / 2.0,
-            interval=(low, high),
-            interval_68=(low_68, high_68),
-            usual_unit=unit,
-            upper_limit=None if detected else most,
-            detected=detected,
-        )
-
-    if int(np.argmin(stated[:_TIMES])) < _TIMES - 1:
-        return (estimate(_TIMES, True),) * 2
-    return estimate(_TIMES, False), estimate(2 * _TIMES, bool(stated.min() > 1e-3 * stated[_TIMES - 1]))
-
-
 def _length(fit: Fit, of: AxisFit, limit: Limit, c: Estimate) -> float | None:
     """Length of record [s] that would decide, infinite beyond a month; None if unknown for these terms."""
     terms = {term.name(): term for term in random_terms()}
@@ -396,7 +361,7 @@ def _length(fit: Fit, of: AxisFit, limit: Limit, c: Estimate) -> float | None:
         return None
     rate, gradient = fit.curve.rate, [float(name == limit.label) for name in terms]
     if limit.label == LEAST:
-        time = _times(fit)[:_TIMES]
+        time = fit.curve.cluster_time
         at = time[np.argmin(fit.model_deviation(of.axis.name, time))]
         units = (term.sampled(rate) for term in terms.values())
         gradient = [float(unit.with_unit_amplitude().allan_variance(at)) for unit in units]

@@ -55,7 +55,7 @@ _KEYS: Mapping[type, dict[str, str]] = {
     Estimate: _keys("label term symbol kind detected rivals held measured variation") | _NUMBERS,
     Variation: _keys("size interval_95=interval error louder excess"),
     AllanDeviation: _keys("""kind overlapping estimator other_stretches=others cluster_time_s=cluster_time
-        cluster_size count deviation= degrees_of_freedom="""),
+        determined cluster_size count deviation= degrees_of_freedom="""),
     TermSet: _keys("terms parameters probability log_evidence chosen= intervals_95_si=intervals"),
 }
 
@@ -250,13 +250,17 @@ def _fit(document: Mapping[str, Any], classes: _Classes) -> Fit:
     known = {name: np.array([curve[key][x.name] for x in axes], float).T for name, key in keys.items()}
     chosen = all(a["selection"] is not None for a, _ in alive)
     rankings = tuple(_selection(*of_axis) for of_axis in alive) if chosen else ()
+    measured = read(AllanDeviation, curve, **known, n=of["n"], rate=of["rate_hz"], axes=axes)
+    results = tuple(_result(*of_axis, template, classes) for of_axis in alive)
+    if not measured.determined:
+        results = tuple(r.without_intervals() if r.measured else r for r in results)
     return read(
         Fit,
         document,
         name=of["name"],
         template=template,
-        curve=read(AllanDeviation, curve, **known, n=of["n"], rate=of["rate_hz"], axes=axes),
-        results=tuple(_result(*of_axis, template, classes) for of_axis in alive),
+        curve=measured,
+        results=results,
         facts=tuple(read(Fact, fact) for fact in document["facts"]),
         selection=TermSelection(of["name"], rankings) if chosen else None,
         dead=tuple(DeadAxis(read(Axis, a), a["reason"]) for a in document["axes"] if a["dead"]),

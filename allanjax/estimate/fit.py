@@ -182,9 +182,9 @@ def fit_curve(curve: AllanDeviation, model: ModelLike | None = None, objective: 
     fitted = fit_allan(curve, None, curve.axes, template, active)
     results, curve = with_curve(curve, template, fitted)
     if not curve.determined:
-        results = tuple(r.unmeasured(not_measured=("curve",)) if r.converged else r for r in results)
+        results = tuple(r.without_intervals() if r.measured else r for r in results)
     results = tuple(r.with_misfits_felt(curve.rate) if r.converged else r for r in results)
-    bare = dataclasses.replace(curve, name="", notes=(), determined=True)
+    bare = dataclasses.replace(curve, name="", notes=())
     return Fit(curve.name, template, bare, results, curve.notes)
 
 

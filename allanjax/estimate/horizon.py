@@ -38,7 +38,7 @@ from allanjax.base.wording import percent, significant
 from allanjax.estimate.as_json import in_both_units, in_json
 from allanjax.estimate.likely_models import Likely, exact_model, side_by_side
 from allanjax.estimate.result import Fit
-from allanjax.noise.datasheet import RATE, DataSheet
+from allanjax.noise.datasheet import NOT_GIVEN, RATE, DataSheet
 from allanjax.noise.estimate import Estimate, title_of
 from allanjax.noise.model import Model
 from allanjax.noise.state_space import StateSpace, settled
@@ -63,7 +63,7 @@ _MEMORIES, _MARKOV_MEMORIES, _TIMES = 61, 25, 11
 _WORSE = 1.1
 _QUANTILES = (0.025, 0.975, 0.16, 0.84)
 _Times: TypeAlias = Float[np.ndarray, " t"]
-_Noise: TypeAlias = tuple[Axis, Mapping[str, Estimate], Model, Sequence[Likely]]
+_Noise: TypeAlias = tuple[Axis, Mapping[str, Estimate], Model, Sequence[Likely], tuple[str, ...]]
 
 
 class _Filters:
@@ -156,6 +156,9 @@ class AxisHorizon(ByValue):
         bound: the standard deviation that the bounding pair predicts.
         shares: shares of the terms in the variance of the error at the horizon, the largest first.
         sets: how many likely sets of terms were averaged over.
+        lacking: which of N, B and K are not given. Then the errors are lower bounds and nothing bounds them
+            from above; `mismatch`, the bounding and the missing raw values are nan, without B and K the
+            `walk` and `correlation_time`, too, and `shares` is empty.
     """
 
     axis: Axis
@@ -177,6 +180,7 @@ class AxisHorizon(ByValue):
     bound: _Times
     shares: Mapping[str, float]
     sets: int = 1
+    lacking: tuple[str, ...] = ()
 
     @property
     def inflation(self) -> dict[str, float]:
@@ -199,7 +203,8 @@ class AxisHorizon(ByValue):
     @property
     def bounding_bias_std(self) -> float:
         """Standard deviation of the bounding process, SI; infinite for a walk."""
-        return self.bounding_walk * math.sqrt(self.bounding_time / 2.0)
+        time = self.bounding_time
+        return math.inf if math.isinf(time) else self.bounding_walk * math.sqrt(time / 2.0)
 
     def causes(self) -> str:
         """The terms that make up the variance of the error at the horizon, in words."""
@@ -223,9 +228,12 @@ class AxisHorizon(ByValue):
     def _shown(self, kind: str, value: Any) -> str:
         """A value, or the ends of an interval, in the usual unit; nothing for those that are not positive."""
         unit, ends = _unit(self.axis.sensor, kind), np.atleast_1d(value)
+        if len(ends) == 1 and np.isnan(ends[0]):
+            return NOT_GIVEN
         if not np.isfinite(ends).all() or not (np.diff(ends, prepend=0.0) > 0.0).all():
             return ""
-        return " … ".join(significant(x / unit_scale(unit, self.axis.sensor)) for x in ends)
+        least = "≥ " if self.lacking and kind == "integral" and len(ends) else ""
+        return least + " … ".join(significant(x / unit_scale(unit, self.axis.sensor)) for x in ends)
 
     def to_dict(self) -> dict[str, Any]:
         """The numbers of the axis as plain dictionaries, lists, numbers and strings, for JSON."""
@@ -240,13 +248,15 @@ class AxisHorizon(ByValue):
             "raw_factor": self.raw_factor,
             "shares": self.shares,
             "sets": self.sets,
+            "not_given": self.lacking,
             "curves_si": {name: getattr(self, name) for name in _SERIES},
         }
         both = {name: x and in_both_units(x) for name, x in pair.items()}
         return {"name": self.axis.name, "sensor": self.axis.sensor, **both, **in_json(numbers)}
 
     def __repr__(self) -> str:
-        white, walk = self.white.in_unit().describe(), self.walk.in_unit().describe()
+        walk = NOT_GIVEN if math.isnan(self.walk.value) else self.walk.in_unit().describe()
+        white = self.white.in_unit().describe()
         time = "" if self.correlation_time is None else f", T* {self.correlation_time.describe()}"
         return f"<AxisHorizon {self.axis.name}, {length(self.horizon)}: N* {white}, K* {walk}{time}>"
 
@@ -265,7 +275,8 @@ class Horizon(ByValue, PerAxis[AxisHorizon]):
         name, horizon, probability: the recording's name, and as in `AxisHorizon`.
         process: how the filters model the bias, "walk" or "markov".
         results: one per axis.
-        notes: for a data sheet, what was assumed and what it does not give.
+        notes: for a data sheet, what was assumed and what it does not give; for a curve of unknown length,
+            that there are no intervals and no bound.
     """
 
     ERROR: ClassVar[type[AllanjaxError]] = FitError
@@ -308,7 +319,10 @@ class Horizon(ByValue, PerAxis[AxisHorizon]):
         ]
         for r in self.results:
             averaged = f"; averaged over {r.sets} likely sets of terms" if r.sets > 1 else ""
-            notes.append(f"{r.axis.name}: true error from {r.causes()}{averaged}")
+            told = f"true error from {r.causes()}{averaged}"
+            if r.lacking:
+                told = f"error at least this (≥), as {' and '.join(r.lacking)} {NOT_GIVEN}; no bound"
+            notes.append(f"{r.axis.name}: {told}")
         return [*notes, *(f"note: {note}" for note in self.notes)]
 
 
@@ -366,7 +380,9 @@ def horizon(
     found = tuple(map(question.answered, _noises(fit, [axes] if isinstance(axes, str) else axes, seed)))
     if not found:
         raise FitError("no axis is a measurement of the sensor; allanjax characterize prints the reasons")
-    notes = fit.statements if isinstance(fit, DataSheet) else ()
+    if isinstance(fit, Fit) and not fit.curve.determined:
+        found = tuple(map(_without_bound, found))
+    notes = fit.statements if isinstance(fit, DataSheet) else fit.curve.unknown
     return Horizon(fit.name, float(seconds), process, probability, found, notes)
 
 
@@ -374,14 +390,15 @@ def _noises(fit: Fit | DataSheet, asked: Sequence[str] | None, seed: int) -> Ite
     """The axes that are asked for, or all with a measurement."""
     if isinstance(fit, DataSheet):
         for s in cast(Sequence[Sensor], asked or tuple(fit.models)):
-            yield Axis(s, s, SI[s]["rate"]), fit.coefficients(s), fit[s], [exact_model(fit[s])]
+            axis, sets = Axis(s, s, SI[s]["rate"]), [exact_model(fit[s])]
+            yield axis, fit.coefficients(s), fit[s], sets, fit.lacking(s)
         return
     results = [fit[name] for name in asked] if asked else [r for r in fit.values() if r.measured]
     if missing := [r for r in results if not r.measured]:
         raise FitError(f"{missing[0].axis.name}: {missing[0].verdict}")
     for r in results:
         sets = fit.likely_models(r.axis.name, _DRAWS, np.random.default_rng(seed))
-        yield r.axis, r.coefficients, r.model, sets
+        yield r.axis, r.coefficients, r.model, sets, r.lacking
 
 
 class _Question(NamedTuple):
@@ -410,7 +427,7 @@ class _Question(NamedTuple):
 
     def answered(self, noise: _Noise) -> AxisHorizon:
         """Horizon of one axis."""
-        axis, coefficients, model, sets = noise
+        axis, coefficients, model, sets, lacking = noise
         raw = (coefficients.get(x) for x in ("angle_random_walk", "rate_random_walk"))
         N, K = (0.0 if c is None else max(c.value, 0.0) for c in raw)
         last = max(round(self.seconds * self.rate), 1)
@@ -443,7 +460,7 @@ class _Question(NamedTuple):
         most = (upper / unit[:-1]).max(axis=1)
         outer = int(np.argmin(np.log(most) + np.log(unit[:-1]).mean(axis=1)))
         N_max = math.sqrt(float(most[outer]))
-        return AxisHorizon(
+        found = AxisHorizon(
             axis=axis,
             horizon=self.seconds,
             probability=self.probability,
@@ -464,6 +481,25 @@ class _Question(NamedTuple):
             shares=dict(shares.most_common()),
             sets=len(sets),
         )
+        return _without_unknown(found, lacking) if lacking else found
+
+
+def _without_unknown(r: AxisHorizon, lacking: tuple[str, ...]) -> AxisHorizon:
+    """The horizon without what depends on coefficients that are not given."""
+    names = [name for symbol, name in (("N", "raw_white"), ("K", "raw_walk")) if symbol in lacking]
+    unknown: dict[str, Any] = dict.fromkeys(["mismatch", *names], math.nan)
+    if {"B", "K"} <= {*lacking}:
+        unknown["walk"] = r.walk.times(math.nan)
+        unknown["correlation_time"] = r.correlation_time and r.correlation_time.times(math.nan)
+    return dataclasses.replace(_without_bound(r), **unknown, shares={}, lacking=lacking)
+
+
+def _without_bound(r: AxisHorizon) -> AxisHorizon:
+    """The horizon where nothing is known that bounds the errors from above."""
+    time = math.inf if math.isinf(r.bounding_time) else math.nan
+    bound = np.full_like(r.bound, np.nan)
+    nothing: dict[str, Any] = {"bounding_white": math.nan, "bounding_walk": math.nan, "bounding_time": time}
+    return dataclasses.replace(r, **nothing, bound=bound)
 
 
 def _unit(sensor: Sensor, name: str) -> str:

@@ -17,7 +17,7 @@ from allanjax.base.equality import ByValue
 from allanjax.base.errors import AllanjaxError, FitError
 from allanjax.base.late import presented
 from allanjax.base.tables import Column, PerAxis, as_text, column, columns_from, tables_of
-from allanjax.base.wording import chi_squared, format_with_error, plain, record_size, significant
+from allanjax.base.wording import chi_squared, duration, format_with_error, plain, record_size, significant
 from allanjax.estimate.likely_models import (
     Likely,
     allowed,
@@ -223,6 +223,11 @@ class AxisFit(ByValue, AxisEstimates):
         return tuple(label for label in there if label != white or white in self.model.term_labels)
 
     @property
+    def lacking(self) -> tuple[str, ...]:
+        """B and K where only white noise and quantization were fitted, which tell nothing of a drift."""
+        return () if {c.symbol for c in self.coefficients.values()} - {"N", "Q"} else ("B", "K")
+
+    @property
     def measured(self) -> bool:
         """Whether the coefficients are a measurement of the sensor, according to the facts and the misfit."""
         return self.converged and not self.not_measured and not self.is_far_off
@@ -253,6 +258,11 @@ class AxisFit(ByValue, AxisEstimates):
         coefficients = {label: c.unmeasured() for label, c in self.coefficients.items()}
         nothing = np.full_like(self.covariance, np.nan)
         return dataclasses.replace(self, _coefficients=coefficients, _covariance=nothing, **why)
+
+    def without_intervals(self) -> AxisFit:
+        """A copy with values only, from a curve whose record's length is unknown."""
+        coefficients = {label: c.without_interval() for label, c in self.coefficients.items()}
+        return dataclasses.replace(self.unmeasured(), _coefficients=coefficients)
 
     def with_estimates(self, found: _Coefficients, **more: Any) -> AxisFit:
         """A copy with these estimates, and a covariance rescaled to their standard deviations."""
@@ -444,10 +454,16 @@ class Fit(ByValue, PerAxis[AxisFit]):
         names = ", ".join(result.axis.name for result in self.results if result.is_far_off)
         far_off = (
             f"{names}: not a measurement of this sensor, as the model does not fit: see the figure; --terms "
-            "selects other terms, and of a recording --start and --stop select the part at rest, and "
-            "`allanjax critique FILE` shows the cause"
+            "selects other terms"
         )
+        if not self.of_curve:
+            far_off += ", --start and --stop the part at rest, and `allanjax critique FILE` shows the cause"
         return (*warnings_of(self.facts), *([far_off] if names else []))
+
+    @property
+    def of_curve(self) -> bool:
+        """Whether a curve was fitted without its recording, so that no mean is known."""
+        return all(np.isnan(result.mean) for result in self.results)
 
     @property
     def longest_part(self) -> tuple[float, float] | None:
@@ -540,7 +556,7 @@ class Fit(ByValue, PerAxis[AxisFit]):
         self, axis: str, cluster_time: Float[np.ndarray, " t"], curves: Float[np.ndarray, "_ t"]
     ) -> Float[np.ndarray, "_ t"]:
         """Deviations within what the measured curve allows, if the model fits it."""
-        if self[axis].worst is not None or not self[axis].measured:
+        if self[axis].worst is not None or not self[axis].measured or not self.curve.determined:
             return curves
         return np.clip(curves, *allowed(self.curve, self.axes.index(axis), cluster_time))
 
@@ -606,6 +622,9 @@ class Fit(ByValue, PerAxis[AxisFit]):
             yield _in_one_line("undecided (--verbose): ", questions)
 
     def _title(self) -> str:
+        if not self.curve.determined:
+            first, last = (duration(float(self.curve.cluster_time[k])) for k in (0, -1))
+            return f"Allan curve from {first} to {last}"
         return record_size(self.curve.n, self.curve.rate) + self.curve.describe_others()
 
 
@@ -679,5 +698,7 @@ def detail(estimate: Estimate, in_unit: str | None = None) -> tuple[str, str, st
             reason = "not detected"
             if c.rivals:
                 reason = f"may be {' or '.join(SYMBOLS.get(term, term) for term in c.rivals)}"
+        elif c.source == "curve":
+            reason = "no interval"
     unit = "" if c.unit == "1" or not text else f" {c.unit}"
     return c.axis.name, c.title, text + unit, "; ".join(filter(None, (reason, c.remark)))

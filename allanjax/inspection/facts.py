@@ -29,7 +29,6 @@ _WHY = {
     "accel unit": "its unit is not plausible",
     "gyro unit": "its unit is not plausible",
     "rate": "the sample rate is not plausible",
-    "curve": "intervals need the rate and the length of its record",
 }
 # Number of items that are listed; further ones are counted.
 _NAMED = 3

@@ -17,6 +17,7 @@ from allanjax.base.tables import PerAxis
 from allanjax.base.wording import duration, format_range, percent, significant
 from allanjax.estimate.as_json import in_json
 from allanjax.navigation.likely import AxisNoise, NoiseLike, Sensors, biases_of, in_si, sensors_of
+from allanjax.noise.datasheet import NOT_GIVEN
 from allanjax.noise.model import Model
 from allanjax.record.recording import Axis
 from allanjax.record.units import Sensor, unit_scale
@@ -55,6 +56,8 @@ class AxisAlignment(ByValue):
         white_time: the same for white noise alone (2.53) [s].
         out_of_reach: probability that the requested error is not reached at any averaging time up to the
             longest.
+        is_bound: whether all errors and times are lower bounds, as not all of N, B and K are given; the best
+            time and the interval of the least error are then nan, and whether the error falls is unknown.
     """
 
     axis: Axis
@@ -72,6 +75,7 @@ class AxisAlignment(ByValue):
     needed_interval: tuple[float, float] = (math.nan, math.nan)
     white_time: float = math.nan
     out_of_reach: float = math.nan
+    is_bound: bool = False
 
     @property
     def angle(self) -> str:
@@ -87,6 +91,8 @@ class AxisAlignment(ByValue):
         """Whether and when the wanted error is reached, in words."""
         if self.best > _LARGE:
             return f"no {self.angle}: its error is never below {significant(self.best / _DEG)} deg"
+        if self.is_bound and self.wanted is None:
+            return "at least this, as N, B and K are not all given"
         if self.wanted is None:
             return f"the error still falls after {duration(float(self.time[-1]))}" if self.falling else ""
         wanted, longest = f"{significant(self.wanted / _DEG)} deg", duration(float(self.time[-1]))
@@ -100,7 +106,8 @@ class AxisAlignment(ByValue):
             low, high = self.needed_interval
             latest = "never" if math.isinf(high) else duration(high)
             ends = "" if math.isnan(low) else f" (95 %: {duration(low)} … {latest})"
-            reached = f"{wanted} takes {duration(self.needed)}{ends}"
+            least = "at least " if self.is_bound else ""
+            reached = f"{wanted} takes {least}{duration(self.needed)}{ends}"
             if self.out_of_reach > 0.025:
                 reached += f"; it is out of reach with probability {percent(self.out_of_reach)}"
         return f"{reached}; {white}" if white else reached
@@ -112,7 +119,9 @@ class AxisAlignment(ByValue):
         cells = [self.axis.name, self.angle]
         for name, scale in (("best", unit_scale(_SHOWN[self.axis.sensor])), ("best_time", 1.0)):
             ends = (x / scale for x in getattr(self, f"{name}_interval"))
-            cells += [significant(getattr(self, name) / scale), format_range(*ends)]
+            value = getattr(self, name) / scale
+            least = "≥ " if self.is_bound else ""
+            cells += [NOT_GIVEN if math.isnan(value) else f"{least}{significant(value)}", format_range(*ends)]
         return [tuple(cells)]
 
     def to_dataframe(self) -> pd.DataFrame:
@@ -125,7 +134,7 @@ class AxisAlignment(ByValue):
     def to_dict(self) -> dict[str, Any]:
         """The numbers as plain dictionaries, in SI; None for undefined numbers."""
         names = ["wanted", "falling", "best", "best_time", "needed", "white_time", "out_of_reach"]
-        names += ["best_interval", "best_time_interval", "needed_interval"]
+        names += ["best_interval", "best_time_interval", "needed_interval", "is_bound"]
         numbers = in_json({name: getattr(self, name) for name in names})
         return {"axis": self.axis.name, "angle": self.angle, **numbers, "verdict": self.verdict}
 
@@ -271,8 +280,12 @@ def _of_axis(
             "out_of_reach": float((above > wanted).all(axis=1).mean()),
         }
     falling = bool(error[-1] < _FALLING * error[-min(len(error), _PER_OCTAVE + 1)])
+    if drawn.is_bound:
+        best_time, falling = math.nan, False
+        best_interval = best_time_interval = (math.nan, math.nan)
     of_best = (best, best_interval, best_time, best_time_interval, falling)
-    return AxisAlignment(noise.axis, time, error, lower, upper, *of_best, **reached)
+    of_curve = (noise.axis, time, error, lower, upper)
+    return AxisAlignment(*of_curve, *of_best, **reached, is_bound=drawn.is_bound)
 
 
 def _reached(time: Float[np.ndarray, " t"], error: Float[np.ndarray, " t"], wanted: float) -> float:

@@ -11,7 +11,7 @@ from jaxtyping import Float, Int
 from allanjax.base.errors import AllanjaxError, FitError
 from allanjax.estimate.likely_models import Likely, exact_model, side_by_side
 from allanjax.estimate.result import Fit
-from allanjax.noise.datasheet import RATE, DataSheet
+from allanjax.noise.datasheet import NOT_GIVEN, RATE, DataSheet
 from allanjax.noise.estimate import title_of
 from allanjax.noise.model import Model
 from allanjax.noise.notation import ModelLike, as_model
@@ -39,12 +39,14 @@ class Drawn(NamedTuple):
             is highest.
         correlation: what the total has besides the sum of the means, as some of these are of causes that are
             correlated; perhaps negative.
+        is_bound: whether the quantity is at least this, as its source does not give all that it comes from.
     """
 
     mean: Mapping[str, Float[np.ndarray, ...]]
     known: Float[np.ndarray, "draws ..."]
     upper: Float[np.ndarray, "draws ..."]
     correlation: Float[np.ndarray, ...] | float = 0.0
+    is_bound: bool = False
 
     @property
     def total(self) -> Float[np.ndarray, ...]:
@@ -57,14 +59,21 @@ class Drawn(NamedTuple):
         """With known values of other causes: each by itself, by its title, and all of them together."""
         mean = {**self.mean, **{title: part for title, part in causes.items() if np.any(part > 0.0)}}
         correlation = all_of_them - sum(causes.values())
-        return Drawn(mean, self.known + all_of_them, self.upper + all_of_them, correlation)
+        known, upper = self.known + all_of_them, self.upper + all_of_them
+        return Drawn(mean, known, upper, correlation, self.is_bound)
 
 
 class AxisNoise(NamedTuple):
-    """Noise of an axis: sets of terms, and draws of their powers."""
+    """Noise of an axis: sets of terms with draws of their powers, and which of N, B and K are not given."""
 
     axis: Axis
     sets: Sequence[Likely]
+    lacking: tuple[str, ...] = ()
+
+    @property
+    def drifts(self) -> bool:
+        """Whether it has what a drift comes from: B or K at least."""
+        return not {"B", "K"} <= {*self.lacking}
 
     def drawn(self, of_term: Callable[[Model], Float[np.ndarray, ...]]) -> Drawn:
         """Draws of a quantity, given its value for a term of unit amplitude by itself."""
@@ -82,7 +91,8 @@ class AxisNoise(NamedTuple):
             mean[title] = mean.get(title, 0.0) + power[:, k].mean() * each[k]
         known = np.tensordot(power[:, detected], each[detected], axes=1)
         upper = np.tensordot(power, each, axes=1)
-        return Drawn(mean, _outermost(known, of, 0.025), _outermost(upper, of, 0.975))
+        ends = _outermost(known, of, 0.025), _outermost(upper, of, 0.975)
+        return Drawn(mean, *ends, is_bound=bool(self.lacking))
 
 
 def _outermost(
@@ -103,8 +113,9 @@ class Sensors(NamedTuple):
         name: the recording's name.
         rate: sample rate [Hz].
         record: length of the fitted record [s]; infinite for given models.
+        estimated: whether the powers were estimated, and have intervals.
         axes: noise by the name of the axis.
-        notes: axes that are left out, and why.
+        notes: what is left out or not given, and why.
     """
 
     name: str
@@ -112,20 +123,17 @@ class Sensors(NamedTuple):
     record: float
     axes: Mapping[str, AxisNoise]
     notes: tuple[str, ...]
-
-    @property
-    def estimated(self) -> bool:
-        """Whether the powers were estimated, and have intervals."""
-        return np.isfinite(self.record)
+    estimated: bool = False
 
     def ends(self, drawn: Drawn) -> tuple[np.ndarray, np.ndarray]:
         """Ends of the central 95 % interval of a quantity: the lower from detected terms, the upper from all.
 
-        They are nan for models that are taken as exact.
+        They are nan for models that are taken as exact; of what is a lower bound, the upper one is infinite.
         """
         if not self.estimated:
             return (np.full_like(drawn.total, np.nan),) * 2
-        return np.quantile(drawn.known, 0.025, axis=0), np.quantile(drawn.upper, 0.975, axis=0)
+        low, high = np.quantile(drawn.known, 0.025, axis=0), np.quantile(drawn.upper, 0.975, axis=0)
+        return low, np.full_like(high, np.inf) if drawn.is_bound else high
 
     def along(self, sensor: Sensor, letter: str) -> AxisNoise | None:
         """The axis of this sensor along x, y or z; one without a letter stands for all three."""
@@ -155,16 +163,21 @@ def sensors_of(data: NoiseLike, rate: float | None, seed: int) -> Sensors:
                 sets = [exact_model(*models)] if fixed else list(map(exact_model, models))
             else:
                 sets = fit.likely_models(own.axis.name, _DRAWS, rng)
-            noise[own.axis.name] = AxisNoise(own.axis, sets)
+            noise[own.axis.name] = AxisNoise(own.axis, sets, fit[own.axis.name].lacking)
         if not noise:
             raise FitError("no axis is a measurement of the sensor; allanjax characterize prints the reasons")
         others = [(r.axis, r.verdict) for r in fit.values() if not r.measured]
         others += [(dead.axis, dead.reason) for dead in fit.dead]
-        left_out = tuple(f"{axis.name} is left out: {why}" for axis, why in others)
-        return Sensors(fit.name, fit.curve.rate, fit.curve.n / fit.curve.rate, noise, left_out)
-    name, notes = "", tuple[str, ...]()
+        told = [f"{axis.name} is left out: {why}" for axis, why in others]
+        white = ", ".join(name for name, axis in noise.items() if axis.lacking)
+        if white:
+            told.append(f"{white}: B and K {NOT_GIVEN} by the terms of the fit; fit others (--terms)")
+        curve, left_out = fit.curve, (*told, *fit.curve.unknown)
+        return Sensors(fit.name, curve.rate, curve.n / curve.rate, noise, left_out, curve.determined)
+    name, notes, lacking = "", tuple[str, ...](), dict[str, tuple[str, ...]]()
     if isinstance(data, DataSheet):
         name, notes, rate = data.name, data.statements, RATE if rate is None else rate
+        lacking = {str(sensor): data.lacking(sensor) for sensor in data.models}
         data = cast(Mapping[str, ModelLike], data.models)
     if not isinstance(data, Mapping) or not data:
         raise AllanjaxError(
@@ -174,11 +187,11 @@ def sensors_of(data: NoiseLike, rate: float | None, seed: int) -> Sensors:
     if rate is None or not 0.0 < rate < np.inf:
         raise AllanjaxError(f"models need a sample rate: give a positive rate in Hz, not {rate}")
     given = cast(Mapping[str, ModelLike], data)
-    exact = {axis: _exact(axis, model) for axis, model in given.items()}
+    exact = {axis: _exact(axis, model, lacking.get(axis, ())) for axis, model in given.items()}
     return Sensors(name, float(rate), np.inf, exact, notes)
 
 
-def _exact(name: str, model: ModelLike) -> AxisNoise:
+def _exact(name: str, model: ModelLike, lacking: tuple[str, ...]) -> AxisNoise:
     """Noise of an axis whose model is taken as exact."""
     column = recognise(name)
     if column.sensor is None:
@@ -187,7 +200,8 @@ def _exact(name: str, model: ModelLike) -> AxisNoise:
     complete.check_complete()
     if not complete.terms:
         raise AllanjaxError(f"{name}: a model without terms has no errors; leave the axis out")
-    return AxisNoise(Axis(name, column.sensor, SI[column.sensor]["rate"]), [exact_model(complete)])
+    axis = Axis(name, column.sensor, SI[column.sensor]["rate"])
+    return AxisNoise(axis, [exact_model(complete)], lacking)
 
 
 def in_si(value: float | str, unit: str, name: str, sensor: Sensor | None = None) -> float:
@@ -216,4 +230,5 @@ def together(parts: Sequence[Drawn]) -> Drawn:
     order = [np.random.default_rng(k).permutation(_DRAWS) for k in range(len(parts))]
     known = sum(drawn.known[at] for drawn, at in zip(parts, order, strict=True))
     upper = sum(drawn.upper[at] for drawn, at in zip(parts, order, strict=True))
-    return Drawn(mean, np.asarray(known), np.asarray(upper), sum(drawn.correlation for drawn in parts))
+    correlation, is_bound = sum(drawn.correlation for drawn in parts), any(drawn.is_bound for drawn in parts)
+    return Drawn(mean, np.asarray(known), np.asarray(upper), correlation, is_bound)

@@ -221,6 +221,8 @@ class ErrorGrowth(ByValue):
         lower, upper: ends of its 95 % interval; nan for models that are taken as exact.
         causes: by direction, standard deviations of the error from each cause alone. Those of a calibration
             may be correlated; the squares of all others add up to that of the error.
+        bounds: the directions in which the error is at least this, as a sensor is missing or its N, B or K is
+            not given (see the notes).
     """
 
     quantity: Quantity
@@ -230,6 +232,7 @@ class ErrorGrowth(ByValue):
     lower: Float[np.ndarray, "channels t"]
     upper: Float[np.ndarray, "channels t"]
     causes: Mapping[str, Mapping[str, Float[np.ndarray, " t"]]]
+    bounds: tuple[str, ...] = ()
 
     @property
     def unit(self) -> str:
@@ -248,8 +251,12 @@ class ErrorGrowth(ByValue):
 
     def __repr__(self) -> str:
         unit, scale = SHOWN[self.quantity]
-        last = (f"{c} {significant(float(self.of(c)[-1]) / scale)} {unit}" for c in self.channels)
+        last = (f"{c} {self._shown(c, float(self.of(c)[-1]) / scale)} {unit}" for c in self.channels)
         return f"<ErrorGrowth {self.quantity} after {plain(float(self.time[-1]), 4)} s: {', '.join(last)}>"
+
+    def _shown(self, channel: str, error: float) -> str:
+        """An error, with a sign if it is a lower bound."""
+        return f"{'≥ ' if channel in self.bounds else ''}{significant(error)}"
 
     def largest(self, channel: str) -> list[str]:
         """The largest cause at each time."""
@@ -265,12 +272,16 @@ class ErrorGrowth(ByValue):
         for channel, numbers in self._numbers().items():
             columns = {"quantity": self.quantity, "channel": channel, "time": self.time, **numbers}
             columns |= {"unit": self.unit, "largest cause": self.largest(channel)}
+            columns["is_bound"] = channel in self.bounds
             tables.append(pd.DataFrame(columns))
         return pd.concat(tables, ignore_index=True)
 
     def to_dict(self) -> dict[str, Any]:
         """The numbers as plain dictionaries and lists, in SI; None for the ends of missing intervals."""
-        channels = {c: numbers | {"causes": self.causes[c]} for c, numbers in self._numbers().items()}
+        channels = {
+            c: numbers | {"is_bound": c in self.bounds, "causes": self.causes[c]}
+            for c, numbers in self._numbers().items()
+        }
         return {"unit": self.unit, "channels": in_json(channels)}
 
     def _numbers(self) -> dict[str, dict[str, Any]]:
@@ -289,8 +300,10 @@ class ErrorGrowth(ByValue):
                 error, *ends = (x[j] / scale for x in numbers.values())
                 cause = self.causes[channel][largest[j]][j] / scale
                 share = (cause / error) ** 2 if error > 0.0 else 1.0
-                texts = (plain(self.time[j], 4), significant(error), format_range(*ends))
-                cells.append((f"{self.quantity} {channel}", *texts, largest[j], f"{100.0 * share:.0f}"))
+                interval = format_range(*ends) if np.isfinite(ends[1]) else ""
+                texts = (plain(self.time[j], 4), self._shown(channel, error), interval)
+                most = "" if channel in self.bounds else f"{100.0 * share:.0f}"
+                cells.append((f"{self.quantity} {channel}", *texts, largest[j], most))
         heads = ("error", "after (s)", f"1σ ({unit})", f"95 % interval ({unit})", "largest cause")
         return columns_from((*heads, "share (%)"), cells)
 
@@ -620,7 +633,9 @@ def _variances(
             "position": error("accel", along, 2, forced) + error("gyro", tilting, 3, level, gravity),
         }.items():
             if parts:
-                variances[quantity][channel] = together(parts)
+                found = together(parts)
+                lacks = tilting is not None and quantity != "attitude" and len(parts) < 2
+                variances[quantity][channel] = found._replace(is_bound=found.is_bound or lacks)
     return variances
 
 
@@ -649,6 +664,7 @@ def _growth(
             channel: {title: np.sqrt(part) for title, part in own.mean.items()}
             for channel, own in drawn.items()
         },
+        bounds=tuple(channel for channel, own in drawn.items() if own.is_bound),
     )
 
 
@@ -671,6 +687,8 @@ def _notes(result: Navigation, sensors: Sensors) -> Iterator[str]:
         if tilting and (gyro is None) != (accel is None):
             only = "the accelerometer" if gyro is None else "the gyro's tilt"
             yield f"velocity and position {channel} contain the errors of {only} only"
+    if any(growth.bounds for growth in result.growths):
+        yield "≥: at least, as not all that the error comes from is given"
     last = float(result.growths[0].time[-1])
     if last > result.quarter_period:
         yield (

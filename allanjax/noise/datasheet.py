@@ -120,6 +120,10 @@ class DataSheet(ByValue, Tabled):
             "statements": list(self.statements),
         }
 
+    def lacking(self, sensor: Sensor) -> tuple[str, ...]:
+        """Which of N, B and K the figures of a sensor do not give."""
+        return tuple(symbol for label, symbol in USUAL.items() if label not in self[sensor].term_labels)
+
     def coefficients(self, sensor: Sensor) -> dict[str, Estimate]:
         """Coefficients of a sensor by label, in SI: values without an interval."""
         axis, model = Axis(sensor, sensor, SI[sensor]["rate"]), self[sensor]
@@ -200,15 +204,12 @@ def datasheet(source: str | os.PathLike[str] | Mapping[str, Any]) -> DataSheet:
     sheets = {sensor: Figures(sensor, document[sensor], f"{where}: [{sensor}]") for sensor in present}
     models = {sensor: sheet.model() for sensor, sheet in sheets.items()}
     statements = [f"{sensor}: {line}" for sensor, sheet in sheets.items() for line in sheet.statements]
-    for sensor, model in models.items():
-        lacking = [symbol for label, symbol in USUAL.items() if label not in model.term_labels]
-        statements += [f"{sensor}: {' and '.join(lacking)} {NOT_GIVEN}; {REMEDY}"] if lacking else []
-    return DataSheet(
-        str(document.get("name", "" if isinstance(source, Mapping) else Path(source).stem)),
-        str(document.get("source", "")),
-        models,
-        tuple(dict.fromkeys(statements)),
-    )
+    name = str(document.get("name", "" if isinstance(source, Mapping) else Path(source).stem))
+    found = DataSheet(name, str(document.get("source", "")), models, ())
+    for sensor in models:
+        if lacking := found.lacking(sensor):
+            statements.append(f"{sensor}: {' and '.join(lacking)} {NOT_GIVEN}; {REMEDY}")
+    return dataclasses.replace(found, statements=tuple(dict.fromkeys(statements)))
 
 
 def datasheets() -> tuple[str, ...]:

@@ -69,7 +69,8 @@ class Estimate(ByValue):
         interval_68: 68 % interval.
         unit: unit of all these numbers; SI by default.
         usual_unit: usual unit, e.g. "deg/√h"; for a model's parameter it follows from the parameter.
-        source: "fit", "posterior", "spectrum", "critique" or "calibration".
+        source: "fit", "posterior", "spectrum", "critique" or "calibration"; or "curve", of the fit of a curve
+            whose record's length is unknown, so that there are neither errors nor intervals nor limits.
         parameter: the parameter of the noise term, whose name is `term`; None for derived quantities and for
             a finding's parameters.
         upper_limit: one-sided 95 % limit of an amplitude; or of another parameter that may have any smaller
@@ -98,7 +99,7 @@ class Estimate(ByValue):
     interval_68: tuple[float, float]
     unit: str = ""
     usual_unit: str = ""
-    source: Literal["fit", "posterior", "spectrum", "critique", "calibration"] = "fit"
+    source: Literal["fit", "curve", "posterior", "spectrum", "critique", "calibration"] = "fit"
     parameter: Parameter | None = None
     term: str = ""
     upper_limit: float | None = None
@@ -291,6 +292,11 @@ class Estimate(ByValue):
             measured=False,
         )
 
+    def without_interval(self) -> Estimate:
+        """A copy without uncertainty, from a curve whose record's length is unknown; held values stay."""
+        bare = self.unmeasured()
+        return bare if self.held else dataclasses.replace(bare, **_OF_CURVE, detected=self.value > 0.0)
+
     def describe(self, unit: str | None = None) -> str:
         """The estimate in words, in its own unit or the given one; see `in_unit`.
 
@@ -348,6 +354,8 @@ class Estimate(ByValue):
             return Number(self.value, after=" held")
         if not self.measured:
             return Number(self.value, before="(", after=")") if self.value > 0.0 else None
+        if self.source == "curve" and self.detected:
+            return Number(self.value)
         sign, limit = self.limit
         if sign:
             return None if limit is None else Number(limit, before=f"{sign} ")
@@ -367,6 +375,8 @@ class Estimate(ByValue):
         shown, normal = self.number, True
         if self.held:
             number = plain(self.value)
+        elif self.source == "curve":
+            number = significant(self.value)
         elif self.measured and not self.limit[0]:
             normal = self.is_normal
             number = format_with_error(self.value, self.std) if normal else significant(self.value)
@@ -384,6 +394,8 @@ class Estimate(ByValue):
             return f"{amount} (held)"
         if not self.measured:
             return f"not a measurement of this sensor (the fitted curve has {amount})"
+        if self.source == "curve" and self.detected:
+            return amount
         if self.parameter is None and np.isnan(self.value):
             return f"not determined by these data{'; ' if self.remark else ''}{self.remark}"
         if not self.detected:
@@ -400,6 +412,8 @@ class Estimate(ByValue):
         return f"{amount}; {self.remark}" if self.remark else amount
 
 
+# Fields of an estimate from a curve whose record's length is unknown.
+_OF_CURVE: dict[str, Any] = {"source": "curve", "measured": True}
 #: A fit's estimates are its coefficients.
 Coefficient = Estimate
 

@@ -18,14 +18,16 @@ from jaxtyping import Array, Float, PRNGKeyArray
 
 from allanjax.base.equality import ByValue
 from allanjax.base.errors import AllanjaxError, RecordingError
-from allanjax.noise.datasheet import DataSheet
+from allanjax.base.normal import TWO_SIDED_68, TWO_SIDED_95
+from allanjax.noise.datasheet import NOT_GIVEN, DataSheet
+from allanjax.noise.estimate import Estimate
 from allanjax.noise.model import Model
 from allanjax.noise.notation import ModelLike, as_model, term_classes
 from allanjax.noise.terms import NoiseTerm
 from allanjax.record.columns import recognise
-from allanjax.record.recording import Recording
+from allanjax.record.recording import Axis, Recording
 from allanjax.record.units import SENSORS as KINDS
-from allanjax.record.units import parse_sample_unit, unit_scale
+from allanjax.record.units import SI, parse_sample_unit, unit_scale
 
 
 def simulate(model: ModelLike, n: int, rate: float, key: PRNGKeyArray | int) -> Float[Array, " n"]:
@@ -90,7 +92,13 @@ def simulate_recording(
         RecordingError: a name that is no axis, fewer than 16 samples, or a channel of another length.
         UnitError: a unit that does not fit the sensor.
     """
-    models = models.of_axes() if isinstance(models, DataSheet) else models
+    lacking: list[str] = []
+    if isinstance(models, DataSheet):
+        for sensor in models.models:
+            absent = " and ".join(models.lacking(sensor))
+            if absent:
+                lacking.append(f"{sensor}: without {absent}, {NOT_GIVEN} by the data sheet")
+        models = models.of_axes()
     if not models:
         raise AllanjaxError('no axis to simulate; give models, e.g. {"gyro_x": AngleRandomWalk(1e-4)}')
     bias = bias or {}
@@ -132,7 +140,7 @@ def simulate_recording(
         dataclasses.replace(axis, unit=parse_sample_unit(own[axis.sensor], axis.sensor).name)
         for axis in recording.axes
     )
-    return dataclasses.replace(recording, axes=tuple(axes), notes=("simulated", *left_out))
+    return dataclasses.replace(recording, axes=tuple(axes), notes=("simulated", *lacking, *left_out))
 
 
 @eqx.filter_jit
@@ -182,6 +190,30 @@ class AxisPreset(ByValue):
         """Noise model of the axis: the sum of the identified terms."""
         amplitudes = ((term, term.amplitude_parameter().name, c.si) for term, c in self.coefficients.items())
         return Model(tuple(term().replace(**{name: value}) for term, name, value in amplitudes))
+
+    @property
+    def estimates(self) -> dict[str, Estimate]:
+        """The coefficients in SI by label, with the error in the thesis as standard deviation."""
+        sensor: Any = self.name.partition("_")[0]
+        axis, found = Axis(self.name, sensor, SI[sensor]["rate"]), {}
+        amplitudes = (p for p in self.model.parameters if p.parameter.is_amplitude)
+        for p, known in zip(amplitudes, self.coefficients.values(), strict=True):
+            value, std = known.si, known.error * unit_scale(known.unit)
+            outer, inner = (
+                (max(value - z * std, 0.0), value + z * std) for z in (TWO_SIDED_95, TWO_SIDED_68)
+            )
+            found[p.label] = Estimate(
+                axis=axis,
+                label=p.label,
+                value=value,
+                std=std,
+                interval=outer,
+                interval_68=inner,
+                parameter=p.parameter,
+                term=p.term_label,
+                usual_unit=known.unit,
+            )
+        return found
 
     def __repr__(self) -> str:
         values = (f"{term.name()} {c.value:g} {c.unit}" for term, c in self.coefficients.items())

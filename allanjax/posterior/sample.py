@@ -75,6 +75,8 @@ def sample(
         raise AllanjaxError(f"name at least one axis to sample, of {', '.join(fit.axes)}")
     for name in names:
         result = fit[name]
+        if not fit.curve.determined:
+            raise FitError(f"{name}: no posterior, as there are {fit.curve.unknown[0]}")
         if not (result.converged and result.measured):
             looked = f"{result.verdict}; allanjax.critique looks for the cause"
             why = looked if result.converged else f"the fit failed ({result.reason})"

@@ -15,7 +15,7 @@ from allanjax.base.chi_squared import quantile
 from allanjax.base.errors import AllanjaxError
 from allanjax.base.wording import duration, without_error
 from allanjax.estimate.result import AxisFit, Fit
-from allanjax.noise.datasheet import DataSheet
+from allanjax.noise.datasheet import NOT_GIVEN, DataSheet
 from allanjax.noise.estimate import Estimate, title_of
 from allanjax.noise.terms.deterministic import Transient
 from allanjax.presentation import draw
@@ -76,16 +76,17 @@ def plot_allan(
     if not isinstance(data, Fit | AllanDeviation | Recording) and isinstance(data, Sequence):
         return _plot_several(data, axes, path, labels, ax)
     if isinstance(data, DataSheet):
-        heading = Heading(data.name, "from its data sheet", [draw.model_entry()])
         sheet, sensors = data, [*data.models]
+        look = _line_of_sheet(sheet, sensors)
+        look["label"] += f": {draw.LEAST_KNOWN}" if "linestyle" in look else ""
+        heading = Heading(data.name, "from its data sheet", [draw.line_entry(**look)])
         rows = [[k] for k in draw.rows_of(sensors, None, axes)[0]]
         panel_of = lambda k: _panel_of_sheet(sheet, sensors[k])  # noqa: E731
         return draw.draw_panels(heading, draw.CLUSTER_TIME, rows, panel_of, path, ax)
     if labels is not None:
         raise AllanjaxError("labels= names several curves: give them as a list, or leave it out")
     fit, curve = _fit_and_curve(data)
-    facts = draw.facts_of(curve.n, curve.rate) + curve.describe_others()
-    heading = draw.heading_of(fit, _kind_of(curve), facts, axes)
+    heading = draw.heading_of(fit, _kind_of(curve), draw.facts_of_curve(curve), axes)
     rows = draw.rows_of(curve.names, curve.axes, axes)
     return draw.draw_panels(heading, draw.CLUSTER_TIME, rows, lambda k: _panel(curve, fit, k), path, ax)
 
@@ -174,7 +175,14 @@ def residual(fit: Fit, k: int) -> Residual:
     points = Points(measured.x, 100.0 * (measured.y / model - 1.0), 100.0 * measured.spread / model)
     edf = curve.edf[:, k]
     chance = np.sqrt(quantile(np.array([[0.025], [0.975]]), edf) / edf) - 1.0
+    if not curve.determined:
+        chance[:] = np.nan
     return Residual(points, edf > 0.5 / draw.PRECISE**2, 100.0 * chance)
+
+
+def _line_of_sheet(sheet: DataSheet, sensors: Sequence[Sensor]) -> dict[str, Any]:
+    """Style of a data sheet's sum of terms, which is a lower bound if not all of N, B and K are given."""
+    return draw.model_line() | (draw.AT_LEAST if any(map(sheet.lacking, sensors)) else {})
 
 
 def _panel_of_sheet(sheet: DataSheet, sensor: Sensor) -> Panel:
@@ -189,7 +197,7 @@ def _panel_of_sheet(sheet: DataSheet, sensor: Sensor) -> Panel:
 
     def fill(panel: Axes) -> None:
         lines = [panel.plot(time, y, **look)[0] for y, look in zip(curves, styles, strict=True)]
-        (sum_line,) = panel.plot(time, total, **draw.model_line())
+        (sum_line,) = panel.plot(time, total, **_line_of_sheet(sheet, [sensor]))
         _draw_slopes(panel)
         _write_values(panel, coefficients, dict(zip(coefficients, lines, strict=True)), sum_line)
 
@@ -253,9 +261,7 @@ def _plot_several(
 
 def _facts_of_several(curves: Sequence[AllanDeviation]) -> str:
     """Lengths and rates of the records; of more than two kinds, from the least to the largest."""
-    facts = list(
-        dict.fromkeys(draw.facts_of(curve.n, curve.rate) + curve.describe_others() for curve in curves)
-    )
+    facts = list(dict.fromkeys(map(draw.facts_of_curve, curves)))
     if len(facts) <= 2:
         return "; ".join(facts)
     lengths, rates = sorted(c.n / c.rate for c in curves), sorted(c.rate for c in curves)
@@ -352,7 +358,8 @@ def plot_comparison(comparison: Comparison, path: str | os.PathLike[str] | None 
     """Draw the Allan deviations of all sensors over one another, one panel per axis.
 
     Points are measured, with 68 % intervals; lines are models. A data sheet has one line for all axes of a
-    sensor. The key has the coefficients.
+    sensor, which is dotted, a lower bound, if the sheet does not give all of N, B and K. The key has the
+    coefficients.
     """
     # Here, as a comparison imports more than other pictures need.
     from allanjax.comparison.compare import axes_of
@@ -374,18 +381,22 @@ def _panel_of_sensors(comparison: Comparison, axis: Axis) -> Panel:
     for k, one in enumerate(comparison.sensors):
         look, style = _looks(k)
         has_curve = one.curve is not None and axis.name in one.curve.names
+        lacking = [] if has_curve else one.lacking(axis.name)
         if has_curve:
             assert one.curve is not None
             own = draw.allan_points(one.curve[axis.name], 0, scale)
             points.append(Points(own.x, own.y, own.spread, one.label, style))
         if (model := one.model(axis.name)) is not None:
             time = one.curve.cluster_time if has_curve and one.curve is not None else _TIMES_OF_MODEL
+            if lacking:
+                look |= draw.AT_LEAST
             lines.append((time, one.deviation(axis.name, time) / scale, look))
         if model is not None or has_curve:
             known = [c for c in one.of(axis.name).values() if c.is_amplitude and (c.detected or c.held)]
             values = ", ".join(_value(c) for c in known if c.symbol in "NBKQR")
             absent = "not a measurement" if model is None else "nothing detected"
-            key.append(KeyEntry(f"{one.label}: {values or absent}", look))
+            least = f"; at least: {' and '.join(lacking)} {NOT_GIVEN}" if lacking else ""
+            key.append(KeyEntry(f"{one.label}: {values or absent}{least}", look))
 
     def fill(panel: Axes) -> None:
         for x, y, look in lines:

@@ -81,6 +81,11 @@ def model_line(label: str = "model") -> dict[str, Any]:
     return {"color": ink(), "linewidth": 1.4, "label": label, "zorder": 2.5}
 
 
+#: How a lower bound is drawn, and what the key says of it.
+AT_LEAST = {"linestyle": ":"}
+LEAST_KNOWN = "at least this, as not all of N, B and K are given"
+
+
 def model_band() -> dict[str, Any]:
     """Style of the interval of a model's line."""
     return {"color": ink(0.85), "linewidth": 0.0, "label": "model, 95 %", "zorder": 1.5}
@@ -407,7 +412,7 @@ def term_entries(
             # Each limit with its term in one line.
             absent.append(f"{name} < {significant(limit)} {amplitude.unit}".replace(" ", "\u00a0"))
             continue
-        if not amplitude.measured and not amplitude.value > 0.0:
+        if not amplitude.value > 0.0 and (amplitude.source == "curve" or not amplitude.measured):
             continue
         is_hidden = hidden(kind)
         if amplitude.detected or not amplitude.measured:
@@ -479,8 +484,18 @@ def facts_of(n: int, rate: float) -> str:
     return f"{duration(n / rate)} at {rate:g} Hz, {n:,} samples"
 
 
+def facts_of_curve(curve: AllanDeviation) -> str:
+    """Length and rate of a curve's record, or its cluster times if these are not known."""
+    if curve.determined:
+        return facts_of(curve.n, curve.rate) + curve.describe_others()
+    first, last = (duration(float(curve.cluster_time[k])) for k in (0, -1))
+    return f"Allan curve from {first} to {last}; {curve.unknown[0]}"
+
+
 def heading_of(fit: Fit | None, title: str, facts: str, axes: Sequence[str] | str | None) -> Heading:
     """Heading of a measured curve, and of its fit, which has a name and perhaps dead axes."""
+    if fit is not None and not fit.curve.determined:
+        return Heading(fit.name or title, facts, [points_entry("measured"), line_entry(**model_line())])
     if fit is None:
         return Heading(title, facts, [measured_entry()])
     if axes is None:

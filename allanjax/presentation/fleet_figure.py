@@ -18,7 +18,7 @@ from allanjax.base.wording import plain
 from allanjax.comparison.repeatability import JointCoefficient, JointFit
 from allanjax.fleet.fleet import FleetResult
 from allanjax.fleet.table import table_schema, times
-from allanjax.noise.estimate import title_of
+from allanjax.noise.estimate import Estimate, title_of
 from allanjax.presentation import draw
 from allanjax.presentation.draw import Heading, Sheet
 
@@ -54,6 +54,8 @@ _NEAR = 8.0
 _BAND = (0.05, 0.95)
 # Of a joint fit, inches for each recording, and for the letters of its name; most letters of a name, its end.
 _ROW, _NAME_LETTER, _LONG_NAME = 0.19, 0.075, 24
+# The row of what recordings have in common; most intervals between ticks.
+_COMMON, _TICKS = "common", 4
 
 
 def plot_fleet(fleet: FleetResult, path: str | os.PathLike[str] | None = None) -> Figure:
@@ -284,14 +286,15 @@ def plot_joint(
     """Draw a forest plot of each coefficient: one row of panels per axis, one line per recording.
 
     Points are the recordings' values with their 95 % intervals, hollow triangles the 95 % limits of what a
-    recording does not detect, and red is the odd one. The dark band is the 95 % interval of the common value,
-    the pale one the range in which 95 % of recordings lie if their scatter is detected.
+    recording does not detect, and red is the odd one. Below them is the common value with its 95 % interval,
+    in a pale bar of the range in which 95 % of recordings lie if their scatter is detected. Arrows are the
+    ends of intervals outside the panel.
 
     Raises:
         AllanjaxError: there is no such axis.
     """
     results = [joint.results[k] for k in draw.rows_of(joint.axes, None, axes)[0]]
-    names = [_short(name, _LONG_NAME) for name in joint.names]
+    names = [*(draw.literal(_short(name, _LONG_NAME)) for name in joint.names), _COMMON]
     left = 0.3 + _NAME_LETTER * max(map(len, names))
     sheet = Sheet(2.6, _ROW * (len(names) + 1), gap=0.3, between=0.95, left=left)
     with draw.style():
@@ -299,46 +302,64 @@ def plot_joint(
             draw.points_entry("recording, 95 % interval"),
             draw.line_entry(marker="v", mfc="none", linewidth=0.0, color=draw.ink(0.6), label="95 % limit"),
             draw.points_entry("odd one", _OUTLYING),
-            draw.line_entry(color=_MEDIAN, linewidth=1.4, label="common value"),
-            draw.band_entry("its 95 % interval", _MEDIAN, 0.35),
-            draw.band_entry("95 % of recordings", _MEDIAN, 0.12),
+            draw.points_entry("common value, 95 % interval", _MEDIAN),
+            draw.band_entry("95 % of recordings", _MEDIAN, 0.25),
         ]
-        heading = Heading(f"{len(names)} recordings", "values of the joint fit", key)
+        heading = Heading(f"{len(joint.names)} recordings", "values of the joint fit", key)
         figure, rows = sheet.draw(heading, [len(axis.coefficients) for axis in results], path)
         for axis, panels in zip(results, rows, strict=True):
             for k, (c, panel) in enumerate(zip(axis.coefficients.values(), panels, strict=True)):
                 unit = "" if c.common.usual_unit == "1" else f" [{c.common.usual_unit}]"
                 draw.dress(panel, axis.axis.name, x=f"{c.common.title}{unit}")
                 panel.set_ylim(len(names) - 0.3, -0.7)
-                panel.set_yticks(range(len(names)), [] if k else [draw.literal(name) for name in names])
+                panel.set_yticks(range(len(names)), [] if k else names)
+                panel.xaxis.set_major_locator(MaxNLocator(_TICKS, prune="both"))
+                panel.xaxis.set_major_formatter(FuncFormatter(lambda x, _: plain(x)))
                 _draw_joint(panel, c, joint.names)
         return draw.saved(figure, path)
 
 
 def _draw_joint(panel: Axes, c: JointCoefficient, names: Sequence[str]) -> None:
-    """Draw one coefficient: bands behind, recordings in front, from the top."""
+    """Draw one coefficient: the recordings from the top, and what they have in common below."""
     common, scatter = c.common.in_unit(), c.scatter.in_unit()
-    shown = [common.value, *common.interval] if common.detected else [0.0, common.upper_limit or 0.0]
+    rows = [(names.index(name), of.in_unit(), name == c.effects.odd_one) for name, of in c.records.items()]
+    panel.set_xlim(*_limits_of_joint([of for _, of, _ in rows], common))
+    for y, of, odd in rows:
+        _draw_estimate(panel, y, of, _OUTLYING if odd else draw.ink(0.3))
     if common.detected:
-        panel.axvspan(*common.interval, **draw.band(_MEDIAN, 0.35))
-        panel.axvline(common.value, color=_MEDIAN, linewidth=1.4)
-        if scatter.detected:
-            reach = 2.0 * np.hypot(scatter.value, common.std) / common.value
-            ends = common.value * np.exp([-reach, reach])
-            panel.axvspan(*ends, **draw.band(_MEDIAN, 0.12))
-            shown += ends.tolist()
-    for name, of in c.records.items():
-        x, y, odd = of.in_unit(), names.index(name), name == c.effects.odd_one
-        colour = _OUTLYING if odd else draw.ink(0.3)
-        if x.detected:
-            panel.plot(x.interval, [y, y], color=colour, linewidth=0.9)
-            panel.plot(x.value, y, **draw.dots(3.6, color=colour))
-        elif x.upper_limit is not None:
-            panel.plot(x.upper_limit, y, "v", color=draw.ink(0.6), mfc="none", markersize=4.0)
-        shown += x.interval if x.detected else (x.upper_limit or x.value,)
-    low, high = np.nanmin(shown), np.nanmax(shown)
-    margin = 0.08 * (high - low) or 0.1 * abs(high) or 1.0
-    values = [x.in_unit().value for x in c.records.values()]
-    # Wider intervals leave the panel.
-    reach = margin + (max(np.ptp(values), 4.0 * common.std) or high - low)
-    panel.set_xlim(max(low, min(values) - reach) - margin, min(high, max(values) + reach) + margin)
+        panel.axvline(common.value, color=_MEDIAN, linewidth=0.8)
+    if common.detected and scatter.detected:
+        reach = 2.0 * np.hypot(scatter.value, common.std) / common.value
+        low, high = common.value * np.exp([-reach, reach])
+        panel.barh(len(names), high - low, 0.6, low, **draw.band(_MEDIAN, 0.25))
+    _draw_estimate(panel, len(names), common, _MEDIAN)
+
+
+def _limits_of_joint(records: Sequence[Estimate], common: Estimate) -> tuple[float, float]:
+    """Limits of a panel: all values and limits, and as much of the intervals as is usual among them."""
+    every = [*records, common]
+    places = [x.value if x.detected else x.upper_limit or x.value for x in every]
+    widths = [np.ptp(x.interval) for x in records if x.detected]
+    reach = max(np.ptp(places) / 2.0, np.median(widths) if widths else 0.0) or abs(places[0]) or 1.0
+    ends = np.array([x.interval for x in every if x.detected] or [(min(places), max(places))])
+    low = max(min(places) - reach, np.nanmin(ends))
+    high = min(max(places) + reach, np.nanmax(ends))
+    low, high = min(low, min(places)), max(high, max(places))
+    margin = 0.08 * (high - low)
+    return low - margin if low > margin or min(places) < 0.0 else 0.0, high + margin
+
+
+def _draw_estimate(panel: Axes, y: float, x: Estimate, colour: Any) -> None:
+    """Draw an estimate with its interval, whose ends outside the panel are arrows at the edge, or a limit."""
+    if not x.detected:
+        shown = [] if x.upper_limit is None else [x.upper_limit]
+        edge = colour if colour == _MEDIAN else draw.ink(0.6)
+        panel.plot(shown, [y] * len(shown), "v", color=edge, mfc="none", markersize=4.0)
+        return
+    low, high = panel.get_xlim()
+    panel.plot(np.clip(x.interval, low, high), [y, y], color=colour, linewidth=0.9)
+    panel.plot(x.value, y, **draw.dots(3.6, color=colour))
+    outside = (low, "<", x.interval[0] < low), (high, ">", x.interval[1] > high)
+    for end, marker, beyond in outside:
+        if beyond:
+            panel.plot(end, y, marker, color=colour, markersize=4.5, clip_on=False)

@@ -134,15 +134,21 @@ def plot_navigation(result: Navigation, path: str | os.PathLike[str] | None = No
 
     Rows are attitude, velocity and position, columns north, east and down. The black line is the error, the
     grey band its interval; each term has a colour, and causes below 5 % of the error at all times are left
-    out. A dotted line is a quarter of the Schuler period, where the times reach it.
+    out. An error that is a lower bound (`ErrorGrowth.bounds`) is dotted and has no interval. A dotted line is
+    a quarter of the Schuler period, where the times reach it.
     """
     growths = list(result.values())
     columns = list(dict.fromkeys(channel for growth in growths for channel in growth.channels))
     styles = _styles(growths)
     with draw.style():
         # Models that are taken as exact have no interval.
-        interval = ", with its 95 % interval" if np.isfinite(growths[0].lower).any() else ""
-        key = [draw.line_entry(**draw.model_line(f"error, 1σ{interval}"))]
+        interval = ", with its 95 % interval" if np.isfinite(growths[0].upper).any() else ""
+        key = []
+        if any(set(growth.channels) - {*growth.bounds} for growth in growths):
+            key = [draw.line_entry(**draw.model_line(f"error, 1σ{interval}"))]
+        if any(growth.bounds for growth in growths):
+            least = draw.model_line(f"error, 1σ: {draw.LEAST_KNOWN}")
+            key.append(draw.line_entry(**least | draw.AT_LEAST))
         key += [draw.line_entry(label=name, **of) for name, of in styles.items()]
         loop = "Schuler loop included" if result.schuler else "short-term"
         facts = f"biases averaged over {duration(result.at_rest)} at rest, {result.rate:g} Hz, {loop}"
@@ -190,11 +196,15 @@ def _draw(panel: Axes, growth: ErrorGrowth, channel: str, styles: dict[str, dict
     unit, scale = SHOWN[growth.quantity]
     k, error = growth.channels.index(channel), growth.of(channel)
     draw.dress(panel, f"{growth.quantity} {channel} [{unit}]", draw.TIME, log="xy")
-    lower, upper = growth.lower[k] / scale, growth.upper[k] / scale
-    panel.fill_between(growth.time, lower, upper, color=draw.ink(0.85), zorder=1)
+    look = draw.model_line()
+    if channel in growth.bounds:
+        look |= draw.AT_LEAST
+    else:
+        lower, upper = growth.lower[k] / scale, growth.upper[k] / scale
+        panel.fill_between(growth.time, lower, upper, color=draw.ink(0.85), zorder=1)
     for cause, part in _causes(growth, channel).items():
         panel.plot(growth.time, part / scale, label=cause, **styles[_kind(cause)])
-    panel.plot(growth.time, error / scale, **draw.model_line())
+    panel.plot(growth.time, error / scale, **look)
     panel.set_ylim(error.min() / scale / 3.0, error.max() / scale * 3.0)
 
 

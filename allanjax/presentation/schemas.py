@@ -1,4 +1,4 @@
-"""JSON schemas of files and of `--json`: fits, critiques, horizons, the recordings of a fleet."""
+"""JSON schemas of files and of `--json`: fits, critiques, comparisons, the recordings of a fleet, …."""
 
 import functools
 import json
@@ -11,7 +11,9 @@ from typing import Any, Literal
 
 from allanjax.fleet.options import FitOptions
 
-Name = Literal["check", "fit", "critique", "fleet", "horizon"]
+Name = Literal["check", "fit", "critique", "fleet", "horizon", "compare", "navigate"]
+# Commands with one document for all that they are given.
+_SINGLE = ("horizon", "compare", "navigate")
 
 _DRAFT = "https://json-schema.org/draft/2020-12/schema"
 # A type of `schemas.toml`: its name, a bound of a number, and what makes lists of it.
@@ -23,8 +25,8 @@ _PLAIN = frozenset({"string", "number", "integer", "boolean", "object"})
 def schema(name: Name) -> dict[str, Any]:
     """JSON schema, draft 2020-12, of the output of `check`, `characterize` ("fit"), `critique`, ….
 
-    "check" and "horizon": the output of `--json`. "fit": NAME.json, and the output of `--json`. "critique":
-    NAME_critique.json, and the output of `--json`. "fleet": recordings/NAME.json.
+    "fit": NAME.json, and the output of `--json`. "critique": NAME_critique.json, and the output of `--json`.
+    "fleet": recordings/NAME.json. All others: the output of `--json`.
     """
     if name == "fleet":
         return _of_fleet()
@@ -33,8 +35,9 @@ def schema(name: Name) -> dict[str, Any]:
         # A fit holds the check of its recording.
         tables = _tables()["check"] | tables
     definitions = {key: _definition(of) for key, of in tables.items()}
-    if name == "horizon":
-        return {"$schema": _DRAFT, "title": "allanjax horizon", **definitions.pop(name), "$defs": definitions}
+    if name in _SINGLE:
+        title = f"allanjax {name}"
+        return {"$schema": _DRAFT, "title": title, **definitions.pop(name), "$defs": definitions}
     plural, entry = f"{name}s", {key: row for key, row in tables[name].items() if key != "errors?"}
     bundle = {
         "about": f"Output of --json: the {plural} of all files, and the errors.",

@@ -1,11 +1,12 @@
 """Allan curves without their records: files of other programs, and fits that agree with the records'."""
 
 import json
+import re
 
 import bench
 import numpy as np
 import pytest
-from commands import run
+from commands import run, schema
 from places import DATA
 from refusals import refuses
 
@@ -146,10 +147,21 @@ def test_without_rate_or_length_there_are_values_but_no_intervals(curve, tmp_pat
         for axis in fit.axes:
             for label in ("N", "B"):
                 c = fit[axis][label]
-                assert not c.measured
+                assert c.measured
                 assert np.isnan([c.std, *c.interval]).all()
                 assert c.value == pytest.approx(known[axis][label].value, rel=0.05)
-        assert "length of its record" in fit.not_measured["gyro_x"]
+        assert not fit.not_measured
+        assert "(" not in str(fit).splitlines()[3]
+        # Errors that follow are values, too, and what needs an interval is not decided.
+        attitude = aj.navigate(fit, [10.0], at_rest=10.0)["attitude"]
+        expected = aj.navigate(known, [10.0], at_rest=10.0)["attitude"]
+        assert attitude.error == pytest.approx(expected.error, rel=0.05)
+        assert np.isnan([attitude.lower, attitude.upper]).all()
+        limit = {"gyro": {"meaning": "maximum", "N": "1000 deg/√h"}}
+        assert aj.check_spec(fit, limit).verdict == "undecided"
+        assert np.isnan(aj.horizon(fit, 10.0, axes="gyro_x")["gyro_x"].bounding_white)
+        refuses("no posterior", aj.sample, fit)
+        refuses("no interval", aj.joint_fit, [fit, fit], "N + B")
 
 
 def test_cluster_times_are_rounded_to_samples_and_thinned(curve, tmp_path):
@@ -206,7 +218,21 @@ def test_the_command_takes_curves(curve, tmp_path):
     loaded = aj.load(tmp_path / "out" / "c.json")
     fit = aj.fit(aj.read_curve(path, 100.0, 163.84, gyro_unit="deg/h"), "N + B")
     assert loaded["gyro_y"]["B"].interval == pytest.approx(fit["gyro_y"]["B"].interval)
-    assert run(*words).exit_code == 1
+    bare = run(*words, "--out", tmp_path / "bare")
+    assert bare.exit_code == 0, bare.stderr
+    assert "no intervals without duration= (--duration)" in bare.stdout
+    assert "not a measurement" not in bare.stdout + bare.stderr
+    saved = tmp_path / "bare" / "c.json"
+    schema("fit").validate(json.loads(saved.read_text(encoding="utf-8")))
+    again = aj.load(saved)["gyro_y"]["B"]
+    assert again.value == pytest.approx(fit["gyro_y"]["B"].value, rel=0.05)
+    assert np.isnan([again.std, *again.interval]).all()
+    exported = run("export", saved, "--to", "kalibr")
+    assert exported.exit_code == 0, exported.stderr
+    density = re.search(r"^gyroscope_noise_density: (.*)$", exported.stdout, re.M)
+    largest = max(fit[axis]["N"].value for axis in fit.axes)
+    assert float(density[1]) == pytest.approx(largest, rel=0.05)
+    assert "95 %" not in exported.stdout
     document = json.loads(run(*words, "--duration", "3 min", "--json").stdout)
     assert document["fits"][0]["recording"]["n"] == 18_000
     assert run(*words, "--duration", "3 min", "--stream").exit_code == 2

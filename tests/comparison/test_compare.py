@@ -3,11 +3,12 @@
 import dataclasses
 import json
 import math
+import re
 
 import bench
 import numpy as np
 import pytest
-from commands import run
+from commands import run, schema
 from scipy.stats import binom, norm
 
 import allanjax as aj
@@ -52,12 +53,9 @@ def test_the_tables_of_the_thesis_come_out_in_their_units(thesis):
         found = {e.symbol: e for e in known if e.symbol}
         assert {s: (round(e.value, 5), round(e.std, 5), e.unit) for s, e in found.items()} == expected
     # Table 5.6: which terms are there.
-    text = str(thesis).splitlines()
-    heads = next(line for line in text if line.startswith("terms of"))
-    assert heads.split()[3:] == ["N", "B", "K", "Q", "R"]
-    marks = {tuple(line.split()[:2]): line for line in text[text.index(heads) + 2 :][:6]}
-    line = marks["accel", "hg1700"] if ("accel", "hg1700") in marks else marks["hg1700", "yes"]
-    assert line.count("yes") == 2
+    there = frame.groupby(["sensor", "axis"])["coefficient"].agg(set)
+    assert there["hg1700", "accel_x"] == {"quantization", RRW}
+    assert there["cimu", "accel_x"] == {"quantization", "drift_ramp"}
     assert set(frame["sensor"]) == {"cimu", "hg1700", "motionpak2"}
 
 
@@ -140,7 +138,7 @@ def test_drift_follows_the_closed_forms_and_data_sheets_are_exact():
     t = np.array([60.0, 600.0, 3600.0])
     # √2·t·σ(t) with σ² = N²/t + K²t/3, Hou (4.33) and (4.43).
     expected = np.sqrt(2) * t * np.sqrt(N**2 / t + K**2 * t / 3)
-    own = next(g for g in found.drifts if g.sensor == 0)
+    own = next(g for g in found.growths if g.sensor == 0)
     np.testing.assert_allclose(own.value, expected, rtol=1e-6)
     assert np.isnan(own.lower).all()
     row = found["gyro", ARW]
@@ -188,11 +186,64 @@ def test_what_cannot_be_compared_is_refused(arguments, options, words):
 
 @pytest.mark.parametrize("seed", [1, 6, 10])
 def test_a_drift_lies_within_its_interval_where_an_unlikely_set_of_terms_has_far_more(seed):
-    """White noise of 164 s, which hardly tells a ramp or random walk from none: drift after an hour."""
-    values = 0.02 * np.random.default_rng(seed).standard_normal((16384, 3))
+    """White noise of 205 s, which hardly tells a ramp or random walk from none, over three times that."""
+    values = 0.02 * np.random.default_rng(seed).standard_normal((20_480, 3))
     names = ["accel_x", "accel_y", "accel_z"]
     fit = aj.fit(aj.Recording.from_array(values, 100.0, accel_unit="m/s^2", names=names))
-    for growth in aj.compare(fit, "STIM300").drifts:
-        if growth.sensor == 0:
-            assert (growth.lower <= growth.value).all()
-            assert (growth.value <= growth.upper).all()
+    for growth in aj.compare(fit, "STIM300").growths:
+        if growth.sensor == 0 and growth.name != "position":
+            # An hour is beyond three times the record.
+            assert growth.reasons == ("", "", "record too short")
+            assert np.isnan([growth.value[2], growth.lower[2], growth.upper[2]]).all()
+            assert (growth.lower[:2] <= growth.value[:2]).all()
+            assert (growth.value[:2] <= growth.upper[:2]).all()
+
+
+def test_what_a_data_sheet_lacks_is_not_zero():
+    """BMI088's sheet has N alone, STIM300's N and B."""
+    found = aj.compare("BMI088", "STIM300")
+    growths = {(g.name, found.labels[g.sensor]): g for g in found.growths}
+    for name in ("gyro", "accel"):
+        assert growths[name, "BMI088"].reasons == ("not given",) * 3
+        assert np.isnan(growths[name, "BMI088"].value).all()
+        assert growths[name, "STIM300"].is_bound
+        assert found[name, "K"].estimates == (None, None)
+    # √2·t·σ(t) of N and B, with the least deviation of the sheet, 0.664 B: no K, so at least that.
+    t, N, B = 60.0, 0.15 * DEG / 60, 0.3 / 0.664283 * DEG / 3600
+    # σ² of flicker noise is (2 ln2/π)·B² at all times that are long against a sample.
+    drift = math.sqrt(2) * t * math.hypot(N / math.sqrt(t), 0.664283 * B)
+    assert growths["gyro", "STIM300"].value[0] == pytest.approx(drift, rel=0.02)
+    assert all(growths[name, "BMI088"].is_bound for name in ("heading", "position"))
+    lines = str(found).splitlines()
+    for row in ("B +BMI088", "K +BMI088", "K +STIM300", "min σ +BMI088"):
+        # Once for the gyro and once for the accelerometer.
+        assert sum(bool(re.search(f"{row} +not given", line)) for line in lines) == 2
+    grades = [line.split() for line in lines[lines.index(next(x for x in lines if "grade of" in x)) :]]
+    assert ["accel", "BMI088", "not", "given"] in grades
+    document = json.loads(json.dumps(found.to_dict(), allow_nan=False))
+    schema("compare").validate(document)
+    absent = [c for c in document["coefficients"] if c["value"] is None]
+    assert {(c["sensor"], c["coefficient"]) for c in absent} == {
+        *(("BMI088", name) for name in ("bias_instability", RRW, "least_allan_deviation")),
+        ("STIM300", RRW),
+    }
+    assert {c["reason"] for c in absent} == {"not given"}
+    drifts = [g for g in document["growth"] if (g["sensor"], g["of"]) == ("BMI088", "gyro")]
+    assert (drifts[0]["value"], drifts[0]["reasons"]) == ([None] * 3, ["not given"] * 3)
+    # The picture has bounds, dotted.
+    for panel in (ax for ax in found.plot().axes if ax.get_title("left")):
+        lines = [line for line in panel.get_lines() if len(line.get_xdata()) > 100]
+        assert {line.get_linestyle() for line in lines} - {"None"} == {":"}
+
+
+def test_a_fit_of_white_noise_alone_has_no_drift():
+    fit = aj.fit(bench.recording("white"), "N", plain=True)
+    found = aj.compare(fit, "cimu")
+    own = [g for g in found.growths if g.sensor == 0 and "_" in g.name]
+    assert own
+    assert all(g.reasons[0] == "not given" for g in own)
+    assert found["gyro_x", "K"].estimates[0] is None
+    grown = aj.navigate(fit, [10.0])["attitude"]
+    assert set(grown.bounds) == set(grown.channels)
+    assert np.isinf(grown.upper).all()
+    assert any("B and K not given" in note for note in aj.navigate(fit, [10.0]).notes)

@@ -1,5 +1,6 @@
 """Days that repeat: statistics of values, and joint fits of recordings of known scatter."""
 
+import itertools
 import json
 
 import numpy as np
@@ -242,7 +243,30 @@ def test_the_figure_has_a_panel_for_each_coefficient(days):
     labels = [panel.get_xlabel().partition(" [")[0] for panel in figure.axes]
     assert labels == ["angle random walk", "bias instability"]
     lines = figure.axes[0].get_yticklabels()
-    assert [line.get_text() for line in lines] == ["day 1", "day 2", "day 3"]
+    assert [line.get_text() for line in lines] == ["day 1", "day 2", "day 3", "common"]
+
+
+def test_the_figure_is_as_wide_as_the_values_and_wider_intervals_end_in_arrows():
+    """Two days of N that differ by half, each known to 0.3 %: the common value's interval is far wider."""
+    fits = [
+        aj.fit(day(40 + k, f"day {k}", scale, N=GYRO), "N", plain=True) for k, scale in ((1, 1.0), (2, 1.5))
+    ]
+    joint = aj.joint_fit(fits, "N")
+    common = joint["gyro_x"]["N"].common.in_unit()
+    values = [f["gyro_x"]["N"].in_unit().value for f in fits]
+    (panel,) = joint.plot().axes
+    low, high = panel.get_xlim()
+    assert common.interval[0] < low < min(values)
+    assert max(values) < high < common.interval[1]
+    # Not wider than three times what the values span.
+    assert high - low < 3.0 * (max(values) - min(values))
+    arrows = {line.get_marker(): float(line.get_xdata()[0]) for line in panel.get_lines()}
+    assert (arrows["<"], arrows[">"]) == (low, high)
+    panel.figure.canvas.draw()
+    shown = [tick for tick in panel.get_xticklabels() if low <= tick.get_position()[0] <= high]
+    boxes = sorted((tick.get_window_extent().x0, tick.get_window_extent().x1) for tick in shown)
+    assert 2 <= len(boxes) <= 5
+    assert all(end < start for (_, end), (start, _) in itertools.pairwise(boxes))
 
 
 def test_what_cannot_be_compared_is_refused(days):

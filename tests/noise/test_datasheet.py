@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from commands import run
+from commands import run, schema
 from noise_terms import finite
 from refusals import refuses
 
@@ -183,17 +183,31 @@ def test_a_sheet_goes_where_a_fit_goes(elsewhere):
     assert grown["attitude"].of("down")[0] == pytest.approx(N["gyro"] * math.sqrt(100 + 100**2 / 600))
     found, samples = aj.horizon(sheet, 10.0), aj.simulate_recording(sheet, 20_000, 100.0, 0)
     assert "K not given" in str(found)
+    assert set(grown["position"].bounds) == {"north", "east", "down"}
+    # N alone bounds no error and has no drift, so that there is no K for a filter.
+    assert np.isnan([found["gyro"].walk.value, found["gyro"].bounding_white, found["gyro"].raw_walk]).all()
+    assert re.search(r"equal +0\.59\d +not given +≥ ", str(found))
+    document = json.loads(json.dumps(found.to_dict(), allow_nan=False))
+    schema("horizon").validate(document)
+    assert [axis["not_given"] for axis in document["axes"]] == [["B", "K"]] * 2
+    aligned = aj.align(sheet, 51.0)["gyro"]
+    assert aligned.is_bound
+    assert np.isnan(aligned.best_time)
+    assert "still falls" not in aligned.verdict
     figure = aj.plot_allan(sheet)
     for sensor, panel in zip(N, (ax for ax in figure.axes if ax.get_title("left")), strict=True):
         assert found[sensor].error[-1] == pytest.approx(N[sensor] * math.sqrt(10.0), rel=0.01)
         assert np.std(samples[f"{sensor}_z"].values) == pytest.approx(10.0 * N[sensor], rel=0.025)
         line = next(line for line in panel.get_lines() if line.get_label() == "model")
         scale = {"gyro": DEG / HOUR, "accel": 1e-6 * G0}[sensor]
+        assert line.get_linestyle() == ":"
         assert line.get_ydata() == pytest.approx(N[sensor] / scale / np.sqrt(line.get_xdata()))
     Path("own.toml").write_text(ADIS16470, encoding="utf-8")
     commands = ["export own.toml --to vins-mono --rate 200", "horizon own.toml --horizon 10"]
     commands += ["navigate own.toml --latitude 51", "simulate --sheet BMI088 --duration 1 --out a.csv"]
-    assert [run(*words.split()).exit_code for words in commands] == [0, 0, 0, 0]
+    done = [run(*words.split()) for words in commands]
+    assert [one.exit_code for one in done] == [0, 0, 0, 0]
+    assert "gyro: without B and K, not given by the data sheet" in done[3].stderr
     for name, near in (("BMI", "BMI088 or BMI160"), ("ADIS16495", "ADIS16495-1?")):
         refuses(re.escape(f"did you mean {near}"), aj.datasheet, name)
 

@@ -100,7 +100,7 @@ def test_schemas_take_what_is_written_and_nothing_else(name):
     assert not validator.is_valid(document)
 
 
-@pytest.mark.parametrize("name", ["check", "fit", "critique", "fleet", "horizon"])
+@pytest.mark.parametrize("name", ["check", "fit", "critique", "fleet", "horizon", "compare", "navigate"])
 def test_schemas_define_all_that_they_refer_to(name):
     document = schema(name).schema
     named = re.findall(r'"#/\$defs/(\w+)"', json.dumps(document))

@@ -452,9 +452,10 @@ def exported(
         for sensor, (usable, wrong) in results.items()
     }
     size = f"{fit.curve.n:,} samples at {fit.curve.rate:g} Hz"
-    head = (
-        f"{to.title}: noise of {fit.name or 'a recording'} as fitted by allanjax ({size}), intervals of 95 %"
-    )
+    what = f"{to.title}: noise of {fit.name or 'a recording'} as fitted by allanjax"
+    head = f"{what} ({size}), intervals of 95 %"
+    if not fit.curve.determined:
+        head = f"{what} to an Allan curve, {fit.curve.unknown[0]}"
     not_held = [
         text
         for sensor, (usable, _) in results.items()

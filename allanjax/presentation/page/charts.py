@@ -152,7 +152,8 @@ def _marks(fit: Fit, k: int, group: int) -> Iterator[Mark]:
         if (c := known.get(label)) is not None:
             yield Mark(f"{c.symbol} at {at:g} s", at, c.value, group)
     # The longest times are so uncertain that the lowest of them is lower by chance.
-    lowest = int(np.argmin(curve.confidence_interval(0.95)[1][:, k]))
+    high = curve.confidence_interval(0.95)[1][:, k]
+    lowest = int(np.argmin(np.fmax(high, curve.deviation[:, k])))
     at = float(curve.cluster_time[lowest])
     yield Mark("minimum", at, float(curve.deviation[lowest, k]), group)
     if (c := known.get("bias_instability")) is not None:
@@ -316,6 +317,8 @@ def through_time(dynamic: DynamicAllan, critique: Critique | None) -> list[Chart
 def drifts(fit: Fit) -> list[Chart]:
     """Predicted error of the integrated rate over a horizon, with its interval; √2·t·σ_A(t).
 
+    Axes whose fit had no term that drifts are left out.
+
     The bias is taken to be the mean over an equally long time before; see `AxisPosterior.predicted_drift`.
     """
     noise, length = sensors_of(fit, None, 0), fit.curve.n / fit.curve.rate
@@ -329,4 +332,5 @@ def drifts(fit: Fit) -> list[Chart]:
         beyond = Span("beyond half the record: extrapolated", length / 2.0, float(time[-1]))
         yield _view(own, traces, **labels, spans=[beyond] if beyond.start < beyond.stop else [])
 
-    return each([of.axis for of in noise.axes.values()], "{}: predicted drift", views, "Horizon")
+    known = [of.axis for of in noise.axes.values() if not of.lacking]
+    return each(known, "{}: predicted drift", views, "Horizon")

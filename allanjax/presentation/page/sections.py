@@ -12,7 +12,6 @@ import numpy as np
 
 from allanjax.allan.deviation import dynamic_allan
 from allanjax.base.errors import AllanjaxError
-from allanjax.base.wording import record_size
 from allanjax.comparison.compare import Comparison, axes_of
 from allanjax.comparison.specification import SpecCheck
 from allanjax.critic.result import Critique
@@ -107,7 +106,7 @@ def of_record(one: Reported) -> Iterator[Section]:
         from allanjax.presentation.page.story import findings_in_full
 
         yield Section("What a simulation gets wrong", [*findings_in_full(critique)])
-    if any(r.measured for r in fit.results):
+    if any(r.measured and not r.lacking for r in fit.results):
         yield Section("Predicted drift", [Row(charts.drifts(fit))], printed=False)
     yield Section("Exports", [*exports(fit)], printed=False)
     yield Section("Details", [*details(fit, one.check)], printed=False)
@@ -140,7 +139,7 @@ def verdict(one: Reported) -> Iterator[Text]:
         yield Text(f"The noise model fits {where}.", "verdict good" if alone else "")
     if also:
         yield Text(f"Also found: {_first(also)}.")
-    size = record_size(fit.curve.n, fit.curve.rate) + fit.curve.describe_others()
+    size = fit._title()
     yield Text(" · ".join([size, *map(": ".join, one.conditions.items())]), "note")
 
 
@@ -272,11 +271,11 @@ def of_comparison(comparison: Comparison) -> Iterator[Section]:
     verdict = f"{different} of {len(tested)} coefficients differ from those of {reference}."
     if not tested:
         verdict = "Whether coefficients differ cannot be tested without their errors."
-    coefficients, terms, graded, *growths = (Table.of(columns) for columns in comparison._tables())
+    coefficients, graded, *growths = (Table.of(columns) for columns in comparison._tables())
     names = axes_of(comparison.sensors)
     axes = [Axis(x, of, SI[of]["rate"]) for x in names for of in SENSORS if x.startswith(of)]
     over = charts.each(axes, "{}", lambda own: [_view(comparison, axis) for axis in own])
-    yield Section("Comparison", [Text(verdict, "verdict"), Row(over), Row([coefficients, terms, graded])])
+    yield Section("Comparison", [Text(verdict, "verdict"), Row(over), Row([coefficients, graded])])
     yield Section("Drift and growth of errors", [Row(growths)])
     yield Section("Sensors", [Text(line, "note") for line in comparison._notes()])
 
@@ -291,7 +290,8 @@ def _view(comparison: Comparison, axis: Axis) -> View:
             low, high = (end[:, k] for end in one.curve.confidence_interval(0.95))
             traces.append(Trace(group, "measured", time, one.curve.deviation[:, k], low, high))
         if one.model(name) is not None:
-            traces.append(Trace(group, "model", time, one.deviation(name, time), look="line"))
+            kind = "at least" if one.curve is None and one.lacking(name) else "model"
+            traces.append(Trace(group, kind, time, one.deviation(name, time), look="line"))
     return View(groups=comparison.labels, traces=traces, **charts.allan(axis, name))
 
 
