@@ -23,7 +23,7 @@ from cyclopts import (
 from allanjax.base.errors import AllanjaxError, AllanjaxWarning
 from allanjax.base.tables import speak_plainly
 from allanjax.cli.calibrate import calibrate
-from allanjax.cli.common import FAILURES, print_error, reason, refuse
+from allanjax.cli.common import FAILURES, print_error, reason, refuse, remove_empty
 from allanjax.cli.compare import compare, repeat
 from allanjax.cli.fleet import fleet
 from allanjax.cli.interrupt import INTERRUPTED, end_on_interrupt
@@ -144,6 +144,8 @@ def run(words: Sequence[str]) -> None:
     except FAILURES as failure:
         print_error(reason(failure, "allanjax"))
         sys.exit(1)
+    finally:
+        remove_empty()
     if not words:
         sys.exit(2)
 

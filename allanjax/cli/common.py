@@ -9,11 +9,11 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import AbstractContextManager, contextmanager, nullcontext
+from contextlib import AbstractContextManager, contextmanager, nullcontext, suppress
 from dataclasses import replace
 from itertools import chain, count
 from pathlib import Path
-from tempfile import TemporaryDirectory
+from tempfile import TemporaryDirectory, TemporaryFile
 from typing import TYPE_CHECKING, Any, NamedTuple, NoReturn, TypeVar
 
 from allanjax.base.errors import AllanjaxError, MixedRatesError
@@ -30,7 +30,11 @@ if TYPE_CHECKING:
 _T = TypeVar("_T")
 
 RESULTS = Path("allanjax-results")
+#: Of the documents that commands make.
+SCHEMA_VERSION = 1
 _STDIN = "-"
+# Folders that a command made for its results, the inner ones first.
+_MADE: list[Path] = []
 
 
 class Input(NamedTuple):
@@ -150,26 +154,49 @@ def inputs(arguments: Sequence[str], out: Path | None) -> Iterator[tuple[Input, 
         yield tuple(Input(*file, name) for file, name in zip(given, names, strict=True))
 
 
-def prepare(out: Path | None = None) -> None:
-    """Prepare a command: check the folder for results, draw without windows, reuse compiled programs.
+def prepare(folder: Path | None = None, files: Sequence[Path] = ()) -> None:
+    """Prepare a command: make places for results, draw without windows, reuse compiled programs.
 
-    Ends the program if the folder `out` is not writable.
+    Ends the program if the folder or the files cannot be written, see `make_places`.
     """
-    if out is not None:
-        place = next(path for path in (out, *out.absolute().parents) if os.path.exists(path))
-        problem = ""
-        if not place.is_dir():
-            problem = "is a file"
-        elif not os.access(place, os.W_OK | os.X_OK):
-            problem = "is not writable"
-        if problem:
-            print_error(f"{place} {problem}: choose another folder for the results with --out")
-            sys.exit(1)
+    make_places(folder, files)
     os.environ["MPLBACKEND"] = "Agg"
     from allanjax.base.cache import enable_compilation_cache
 
     with stage("loading allanjax"):
         enable_compilation_cache()
+
+
+def make_places(folder: Path | None = None, files: Sequence[Path] = ()) -> None:
+    """Make the folder of results, and those of the files to write, before any work is done.
+
+    Ends the program with an error if they cannot be written. `remove_empty` removes those that stay empty.
+    """
+    for place in (*([] if folder is None else [folder]), *(file.parent for file in files)):
+        made = [path for path in (place, *place.parents) if not path.exists()]
+        try:
+            place.mkdir(parents=True, exist_ok=True)
+            with TemporaryFile(dir=place):
+                _MADE.extend(made)
+        except OSError as error:
+            _cannot_write(place, error.strerror or str(error), "folder")
+    for file in files:
+        if file.is_dir():
+            _cannot_write(file, "it is a folder", "file")
+        elif file.exists() and not os.access(file, os.W_OK):
+            _cannot_write(file, "it is read-only", "file")
+
+
+def _cannot_write(place: Path, why: str, kind: str) -> NoReturn:
+    print_error(f"{place}: cannot be written ({why}): choose another {kind} for the results with --out")
+    sys.exit(1)
+
+
+def remove_empty() -> None:
+    """Remove the folders that were made for results if there are none."""
+    while _MADE:
+        with suppress(OSError):
+            _MADE.pop(0).rmdir()
 
 
 #: Failures caused by the input, the disk or the machine; any other exception is a bug.
@@ -228,12 +255,11 @@ def print_json(document: Mapping[str, Any]) -> None:
 
 
 def write_result(result: Any, directory: Path | None, name: str, figure_format: str) -> list[Path]:
-    """Write a result as NAME.json and as a figure into a folder, which is made; nothing without one."""
+    """Write a result as NAME.json and as a figure into a folder; nothing without one."""
     if directory is None:
         return []
     from allanjax.presentation.files import write_document
 
-    directory.mkdir(parents=True, exist_ok=True)
     paths = [directory / f"{name}.{kind}" for kind in ("json", figure_format)]
     write_document(result.to_dict(), paths[0])
     result.plot(path=paths[1])
@@ -247,6 +273,16 @@ def print_result(result: Any, as_json: bool, written: Sequence[Path] = ()) -> No
     else:
         print(result, flush=True)
     print_written(written, as_json)
+
+
+def print_list(
+    kind: str, entries: Sequence[Mapping[str, Any]], line: Callable[..., str], as_json: bool
+) -> None:
+    """Print what --list asks for: the line of each entry, or JSON."""
+    if as_json:
+        print_json({"schema_version": SCHEMA_VERSION, kind: entries})
+    else:
+        print(*(line(**entry) for entry in entries), sep="\n")
 
 
 def print_written(paths: Sequence[Path], as_json: bool = False) -> None:

@@ -65,7 +65,7 @@ def compare(
     json
         Print JSON instead of tables.
     """
-    prepare()
+    prepare(files=out)
     from allanjax.comparison.compare import compare as compared
     from allanjax.record.io.formats import name_of
 

@@ -2,6 +2,7 @@
 
 import dataclasses
 import sys
+from collections.abc import Mapping
 from concurrent.futures import ThreadPoolExecutor
 from importlib import import_module
 from pathlib import Path
@@ -16,8 +17,10 @@ from allanjax.cli.common import (
     fitting,
     inputs,
     prepare,
+    print_json,
     print_written,
     refuse,
+    reported,
     saved_fit,
     stage,
     work_through,
@@ -168,9 +171,7 @@ def characterize(
         first = [] if check is None else [f"check: {check.summary()}"]
         last = [] if judged is None else [str(judged)]
         text = "\n".join([*first, str(fit), *([fit.details()] if verbose else []), *last])
-        missing = [f"{axis}: no result, {why}" for axis, why in fit.without_result.items()]
-        missing += [f"{axis}: {why}" for axis, why in fit.not_measured.items()]
-        return Outcome(text, with_checks(fit, check, judged), paths, missing)
+        return Outcome(text, with_checks(fit, check, judged), paths, _missing(fit))
 
     def document(fits: list[dict[str, Any]], _: int) -> dict[str, Any]:
         from allanjax.estimate.as_json import SCHEMA_VERSION
@@ -179,6 +180,12 @@ def characterize(
 
     work_through(files, out, json, work, document)
     exit_by(verdicts)
+
+
+def _missing(fit: "Fit") -> list[str]:
+    """What is to be reported of the axes that have no result, or no measurement of the sensor."""
+    missing = [f"{axis}: no result, {why}" for axis, why in fit.without_result.items()]
+    return missing + [f"{axis}: {why}" for axis, why in fit.not_measured.items()]
 
 
 def read_and_fit(file: Input, options: FitOptions) -> "tuple[Recording, Check, PowerSpectrum, Fit]":
@@ -319,7 +326,6 @@ def _write(critique: "Critique", directory: Path, file: Input, suffix: str) -> l
 
     named = dataclasses.replace(critique, name=file.name)
     with stage(f"{file.label}: writing results"):
-        directory.mkdir(parents=True, exist_ok=True)
         paths = [directory / f"{file.name}_critique.json"]
         write_document(to_dict(critique), paths[0])
         return paths + [directory / name for name in critique_figures(named, directory, suffix=suffix)]
@@ -333,6 +339,7 @@ def report(
     note: tuple[str, ...] = (),
     spec: Path | None = None,
     quick: bool = False,
+    json: bool = False,
 ) -> None:
     """Write one page of HTML about static recordings or saved results.
 
@@ -361,6 +368,8 @@ def report(
         Exit code 1: a limit is not met; 3: none, but one is undecided.
     quick
         Without the critique, which takes longer than all the rest.
+    json
+        Print JSON: {schema_version, written, fits, critiques, errors}.
     """
     if out.suffix.lower() not in (".html", ".htm"):
         refuse(f"--out {str(out)!r}: a page is named .html")
@@ -371,23 +380,39 @@ def report(
     if spec is not None:
         # A wrong file ends the command before it reads recordings.
         read_spec(spec)
-    prepare(out.parent)
+    prepare(files=[out])
     errors: list[dict[str, str]] = []
-    with inputs(files, out.parent) as given:
-        done = worked_through(given, lambda file: _reported(file, how.options, quick), errors)
-        parts = [part for _, part in done]
     known = dict(text.split("=", 1) for text in note)
-    judged = [None if spec is None else check_spec(part.fit, spec) for part in parts]
-    if parts:
+    shown: dict[Input, Reported] = {}
+    with inputs(files, out.parent) as given:
+        for file, part in worked_through(given, lambda file: _reported(file, how.options, quick), errors):
+            errors += [reported(file, message) for message in _missing(part.fit)]
+            limits = None if spec is None else check_spec(part.fit, spec)
+            shown[file] = part._replace(limits=limits, conditions=known)
+    if shown:
         from allanjax.presentation.page.report import page_about
 
         with stage("writing the page"):
-            every = zip(parts, judged, strict=True)
-            shown = [part._replace(limits=limits, conditions=known) for part, limits in every]
-            page_about(shown, title).save(out)
-        print_written([out])
+            page_about([*shown.values()], title).save(out)
+        print_written([out], json)
+    if json:
+        print_json({**_told(shown), "written": [str(out)] if shown else [], "errors": errors})
     exit_if_failed(errors, len(given))
-    exit_by([limits.verdict for limits in judged if limits is not None])
+    exit_by([part.limits.verdict for part in shown.values() if part.limits is not None])
+
+
+def _told(shown: "Mapping[Input, Reported]") -> dict[str, Any]:
+    """What a page shows, in types of JSON: the fits with their checks, and the critiques."""
+    from allanjax.estimate.as_json import SCHEMA_VERSION
+    from allanjax.presentation.critique_json import to_dict
+    from allanjax.presentation.files import with_checks
+
+    fits = [
+        {"file": file.label, **with_checks(part.fit, part.check, part.limits)} for file, part in shown.items()
+    ]
+    critiques = {file: part.critique for file, part in shown.items() if part.critique is not None}
+    told = [{"file": file.label, **to_dict(critique)} for file, critique in critiques.items()]
+    return {"schema_version": SCHEMA_VERSION, "fits": fits, "critiques": told}
 
 
 def _reported(file: Input, options: FitOptions, quick: bool) -> "Reported":

@@ -8,10 +8,13 @@ from cyclopts import Parameter
 
 from allanjax.base.errors import AllanjaxError
 from allanjax.cli.common import (
+    SCHEMA_VERSION,
     exit_by,
     fit_or_sheet,
+    make_places,
     prepare,
     print_json,
+    print_list,
     print_result,
     print_written,
     refuse,
@@ -19,6 +22,7 @@ from allanjax.cli.common import (
     stage,
 )
 from allanjax.cli.options import Reading, Written
+from allanjax.presentation.schemas import Name
 from allanjax.record.io import read_recording
 
 
@@ -34,6 +38,7 @@ def export(
     force: bool = False,
     out: Written | None = None,
     list_: bool = False,
+    json: bool = False,
 ) -> None:
     """Write noise parameters for an estimator, autopilot or simulator.
 
@@ -69,16 +74,24 @@ def export(
         File to write. Default: standard output.
     list_
         List the targets and exit.
+    json
+        Print JSON: {schema_version, target, text, warnings, written}.
     """
     from allanjax.presentation.export.targets import TARGETS
 
     if list_:
-        for target in TARGETS.values():
-            keys = dict.fromkeys(key.called for key in target.noise_keys)
-            print(f"{target.name:19} {target.title}: {', '.join(keys)}")
+        targets = [
+            {"name": x.name, "title": x.title, "keys": [*dict.fromkeys(key.called for key in x.noise_keys)]}
+            for x in TARGETS.values()
+        ]
+        print_list(
+            "targets", targets, lambda name, title, keys: f"{name:19} {title}: {', '.join(keys)}", json
+        )
         return
     if to is None:
         refuse("--to: give a target, e.g. kalibr; --list shows them all")
+    written = [] if out is None else [out]
+    make_places(files=written)
     from allanjax.presentation.export.exporting import converted, exported
 
     if from_ is None:
@@ -87,13 +100,16 @@ def export(
         raise AllanjaxError("give the file to convert")
     else:
         made = converted(_text(result), from_, to, axes=axes, rate=rate, name=str(result))
-    if out is None:
-        print(made.text, end="")
-    else:
+    if out is not None:
         out.write_text(made.text, encoding="ascii")
-        print(f"wrote {out}")
+    elif not json:
+        print(made.text, end="")
+    print_written(written, json)
     for words in made.left_out:
         print(f"warning: {words}", file=sys.stderr)
+    if json:
+        known = {"target": to, "text": made.text, "warnings": made.left_out}
+        print_json({"schema_version": SCHEMA_VERSION, **known, "written": [str(path) for path in written]})
 
 
 def _text(path: Path) -> str:
@@ -221,7 +237,8 @@ def navigate(
     json
         Print JSON, in SI units.
     """
-    prepare()
+    written = [] if out is None else [out]
+    prepare(files=written)
     from allanjax.calibration.result import load_calibration
     from allanjax.navigation.alignment import align
     from allanjax.navigation.navigator import Profile, navigate
@@ -238,21 +255,23 @@ def navigate(
     if out is not None:
         growth.plot(out)
     if json:
-        print_json({"navigation": growth.to_dict(), "alignment": aligned.to_dict()})
+        parts = {"navigation": growth.to_dict(), "alignment": aligned.to_dict()}
+        print_json({"schema_version": SCHEMA_VERSION, **parts})
     else:
         print(f"{growth}\n{aligned}")
-    print_written([] if out is None else [out], json)
+    print_written(written, json)
 
 
 def statespace(
     result: Path,
     /,
     *,
-    out: Written,
     axis: str,
+    out: Written | None = None,
     rate: float | None = None,
     duration: float | None = None,
     format: Literal["npz", "matlab", "c"] = "npz",
+    json: bool = False,
 ) -> None:
     """Write the matrices A, H, Q, R and P0 of a Kalman filter for the noise of a fitted axis.
 
@@ -267,10 +286,10 @@ def statespace(
     ----------
     result
         Result of allanjax characterize: NAME.json.
-    out
-        File to write.
     axis
         Axis, e.g. gyro_x.
+    out
+        File to write; needed without --json.
     rate
         Sample rate of the filter in Hz; by default the recording's.
     duration
@@ -278,8 +297,13 @@ def statespace(
         bias instability is approximated by a sum of Gauss–Markov processes.
     format
         NumPy file, MATLAB script or C header.
+    json
+        Print JSON, in SI units: {schema_version, model, rate_hz, names, units, A, H, Q, R, P0, ...}.
     """
-    prepare()
+    if out is None and not json:
+        refuse("--out: give a file to write, e.g. gyro_x.npz; or --json")
+    written = [] if out is None else [out]
+    prepare(files=written)
     fit = saved_fit(result)
     measured = fit[axis]
     if not measured.measured:
@@ -288,12 +312,16 @@ def statespace(
     length = fit.curve.n / fit.curve.rate if duration is None else duration
     rate = fit.curve.rate if rate is None else rate
     space = measured.model.state_space(rate, duration=length, sensor=measured.axis.sensor)
-    if format == "npz":
+    if out is not None and format == "npz":
         space.to_numpy(out)
-    else:
+    elif out is not None:
         text = space.to_matlab() if format == "matlab" else space.to_c_header()
         out.write_text(text, encoding="utf-8")
-    print_result(space, as_json=False, written=[out])
+    if json:
+        print_json({**space.to_dict(), "written": [str(path) for path in written]})
+    else:
+        print(space)
+    print_written(written, json)
 
 
 def kalman(
@@ -333,7 +361,7 @@ def kalman(
     json
         Print JSON, in SI units.
     """
-    prepare()
+    prepare(files=out)
     from allanjax.kalman.filtering import kalman_filter
 
     if (fit is None) == (terms is None):
@@ -372,26 +400,28 @@ def spec(result: Path, limits: Path, /, *, out: Written | None = None, json: boo
     json
         Print JSON instead of a table.
     """
-    prepare()
+    written = [] if out is None else [out]
+    prepare(files=written)
     from allanjax.comparison.specification import check_spec
 
     judged = check_spec(saved_fit(result), limits)
-    if out is not None:
-        out.write_text(judged.to_junit(), encoding="utf-8")
-    print_result(judged, json, () if out is None else (out,))
+    for path in written:
+        path.write_text(judged.to_junit(), encoding="utf-8")
+    print_result(judged, json, written)
     exit_by([judged.verdict])
 
 
-def schema(name: Literal["check", "fit", "critique", "fleet", "horizon", "compare", "navigate"], /) -> None:
-    """Print the JSON schema of what a command writes.
+def schema(name: Name, /) -> None:
+    """Print the JSON schema of what a command prints with --json.
 
     For example:
-      allanjax schema fit > fit.schema.json
+      allanjax schema characterize > fit.schema.json
 
     Parameters
     ----------
     name
-        Which schema; fit is that of characterize.
+        Which command; fit is what characterize and watch print, and a file NAME.json, and fleet a file
+        recordings/NAME.json.
     """
     from allanjax.presentation.schemas import schema
 

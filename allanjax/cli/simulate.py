@@ -2,7 +2,7 @@
 
 import math
 import sys
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
@@ -11,12 +11,24 @@ from cyclopts import Parameter
 from cyclopts.validators import Number
 
 from allanjax.base.errors import AllanjaxError
-from allanjax.cli.common import Input, prepare, print_result, print_written, refuse, stage
+from allanjax.cli.common import (
+    SCHEMA_VERSION,
+    Input,
+    prepare,
+    print_json,
+    print_list,
+    print_result,
+    print_written,
+    refuse,
+    stage,
+)
+from allanjax.cli.options import Written
 from allanjax.cli.recordings import read_and_fit
 from allanjax.fleet.options import FitOptions
 
 if TYPE_CHECKING:
     from allanjax.estimate.result import Fit
+    from allanjax.noise.estimate import Estimate
     from allanjax.noise.model import Model
 
 _SEED = 952
@@ -42,8 +54,9 @@ def simulate(
     duration: _Positive = 3600.0,
     rate: _Positive = 100.0,
     seed: int = 0,
-    out: Path | None = None,
+    out: Written | None = None,
     list_: bool = False,
+    json: bool = False,
 ) -> None:
     """Simulate a static recording of a known sensor or of given noise terms.
 
@@ -78,14 +91,22 @@ def simulate(
         rate is written, with the rate in its name.
     list_
         List the sensors and exit.
+    json
+        Print JSON: {schema_version, seed, recordings, warnings}.
     """
     from allanjax.noise.notation import parse_model
     from allanjax.noise.simulate import SENSORS
 
     if list_:
-        for known in SENSORS.values():
-            rates = ", ".join(f"{rate:g} Hz" for rate in dict.fromkeys(axis.rate for axis in known.axes))
-            print(f"{known.name:12} {known.description}; {rates}")
+        sensors = [
+            {
+                "name": x.name,
+                "description": x.description,
+                "rates_hz": [*dict.fromkeys(a.rate for a in x.axes)],
+            }
+            for x in SENSORS.values()
+        ]
+        print_list("sensors", sensors, _line, json)
         return
     if [preset, terms, sheet].count(None) != 2:
         refuse("SENSOR: give exactly one: a sensor, --terms or --sheet")
@@ -97,7 +118,7 @@ def simulate(
         model = None if terms is None else parse_model(terms, sensor)
     except AllanjaxError as error:
         refuse(f"--terms: {error}")
-    prepare()
+    prepare(files=[out])
     from allanjax.noise.datasheet import NOT_GIVEN, datasheet
     from allanjax.noise.simulate import simulate_recording
     from allanjax.record.io import write
@@ -110,74 +131,109 @@ def simulate(
             recordings = (simulate_recording(models, round(duration * rate), rate, seed, name=out.stem),)
         else:
             recordings = SENSORS[str(preset)].simulate(duration, seed)
+        written = []
         for recording in recordings:
             path = out if len(recordings) == 1 else out.with_stem(f"{out.stem}_{recording.rate:g}Hz")
             write(recording, path)
-            size = f"{recording.n:,} samples at {recording.rate:g} Hz"
-            print(f"wrote {path}: {', '.join(recording.names)}; {size}")
-        for note in recordings[0].notes:
-            if NOT_GIVEN in note:
-                print(f"warning: {note}", file=sys.stderr)
+            n, rate = recording.n, recording.rate
+            told = f"wrote {path}: {', '.join(recording.names)}; {n:,} samples at {rate:g} Hz"
+            print(told, file=sys.stderr if json else sys.stdout)
+            sizes = {"n": n, "rate_hz": rate, "duration_s": n / rate}
+            written.append({"file": str(path), "axes": recording.names, **sizes})
+    warnings = [note for note in recordings[0].notes if NOT_GIVEN in note]
+    for note in warnings:
+        print(f"warning: {note}", file=sys.stderr)
+    if json:
+        print_json(
+            {"schema_version": SCHEMA_VERSION, "seed": seed, "recordings": written, "warnings": warnings}
+        )
 
 
-def demo(*, out: Path = Path("allanjax-demo")) -> None:
+def _line(name: str, description: str, rates_hz: Sequence[float]) -> str:
+    """Line of a sensor in the list."""
+    return f"{name:12} {description}; {', '.join(f'{rate:g} Hz' for rate in rates_hz)}"
+
+
+def demo(*, out: Annotated[Path, Parameter(alias="-o")] = Path("allanjax-demo"), json: bool = False) -> None:
     """Characterize a simulated six-axis sensor and compare it with the true coefficients.
 
     Parameters
     ----------
     out
         Folder for the recording and the results.
+    json
+        Print JSON: {schema_version, fit, coefficients, written}.
     """
     prepare(out)
     with stage("loading allanjax"):
         from allanjax.base.earth import STANDARD_GRAVITY
         from allanjax.noise.notation import parse_model
         from allanjax.noise.simulate import simulate_recording
-        from allanjax.presentation.files import write_results
+        from allanjax.presentation.files import with_checks, write_results
         from allanjax.record.io import write
-    out.mkdir(parents=True, exist_ok=True)
     file = out / "demo.csv"
     with stage("simulating 25 minutes of a six-axis sensor at 100 Hz"):
         models = {a: parse_model(text, "gyro" if "gyro" in a else "accel") for a, text in _TRUTH.items()}
         gravity = {"accel_z": STANDARD_GRAVITY}
         recording = simulate_recording(models, 150_000, 100.0, _SEED, bias=gravity, name="demo")
         write(recording, file)
-    print(f"wrote {file}: {recording.n:,} samples of {', '.join(recording.names)}")
     _, check, spectrum, fit = read_and_fit(Input(file, str(file), file.stem), FitOptions())
     with stage("writing results"):
         paths = write_results(fit, spectrum, out, file.stem, check)
-    table, inside, count = _compare(fit, models)
-    print(table)
-    print(f"{inside} of {count} 95 % intervals contain the true value; on average one in twenty does not.")
-    print_written(paths)
+    written = [file, *paths]
+    if json:
+        compared = [
+            {"axis": c.axis.name, "label": c.label, "true_si": truth, "inside": inside}
+            for c, truth, inside in _compared(fit, models)
+        ]
+        document = {
+            "schema_version": SCHEMA_VERSION,
+            "fit": with_checks(fit, check),
+            "coefficients": compared,
+        }
+        print_json({**document, "written": [str(path) for path in written]})
+    else:
+        print(_as_table(_compared(fit, models)))
+    print_written(written, json)
+    if json:
+        return
     print("\nFor your own recording:\n    allanjax characterize imu.csv")
     print("If it has no time stamps and no units in its header:")
     print("    allanjax characterize imu.csv --rate 100 --gyro-unit deg/s --accel-unit m/s^2")
 
 
-def _compare(fit: "Fit", models: "Mapping[str, Model]") -> tuple[str, int, int]:
-    """Compare the coefficients of a fit with the true ones.
+def _compared(fit: "Fit", models: "Mapping[str, Model]") -> "list[tuple[Estimate, float, bool]]":
+    """Each coefficient of a fit, its true value in SI, and whether the 95 % interval contains that.
 
-    The result is a table for the terminal with usual units; how many 95 % intervals, or upper
-    limits of terms that are not detected, contain the true value; and how many there are.
+    Of a term that is not detected, whether the true value is below the upper limit.
     """
-    from allanjax.base.tables import as_text, columns_from
-    from allanjax.base.wording import plain
-
-    rows, inside = [], 0
+    compared = []
     for result in fit.results:
         for c in result.coefficients.values() if result.converged else ():
             truth = models[result.axis.name].values.get(c.label) or 0.0
             limit = None if c.detected else c.upper_limit
             lower, upper = c.interval if limit is None else (0.0, limit)
-            holds = lower <= truth <= upper
-            inside += holds
-            shown = c.in_unit()
-            value = replace(c, value=truth).in_unit().value
-            true = f"{plain(value, 4)} {shown.unit}" if truth else "none"
-            rows.append((c.axis.name, c.title, shown.describe(), true, "inside" if holds else "OUTSIDE"))
+            compared.append((c, float(truth), bool(lower <= truth <= upper)))
+    return compared
+
+
+def _as_table(compared: "Sequence[tuple[Estimate, float, bool]]") -> str:
+    """Estimates and true coefficients in usual units, and how many intervals contain the latter."""
+    from allanjax.base.tables import as_text, columns_from
+    from allanjax.base.wording import plain
+
+    rows = []
+    for c, truth, inside in compared:
+        shown, true = c.in_unit(), replace(c, value=truth).in_unit()
+        told = f"{plain(true.value, 4)} {true.unit}" if truth else "none"
+        rows.append((c.axis.name, c.title, shown.describe(), told, "inside" if inside else "OUTSIDE"))
     headings = ("axis", "coefficient", "estimate", "true", "95 %")
-    return as_text("estimates and true coefficients", [columns_from(headings, rows)]), inside, len(rows)
+    table = as_text("estimates and true coefficients", [columns_from(headings, rows)])
+    held = sum(inside for _, _, inside in compared)
+    return (
+        f"{table}\n{held} of {len(rows)} 95 % intervals contain the true value; on average one in twenty "
+        "does not."
+    )
 
 
 def convert(
@@ -218,13 +274,14 @@ def convert(
     list_
         List the sensors with a built-in data sheet and exit.
     json
-        Print JSON; needs --sheet.
+        Print JSON: {schema_version, value, unit, converted}; of a data sheet {schema_version, name,
+        coefficients, ...}.
     """
     if list_:
         from allanjax.noise.datasheet import known_sheets
 
-        for name, figures in known_sheets().items():
-            print(f"{name:12} {figures['source']}")
+        sheets = [{"name": name, "source": figures["source"]} for name, figures in known_sheets().items()]
+        print_list("sheets", sheets, lambda name, source: f"{name:12} {source}", json)
         return
     if (sheet is None) == (value is None) or (sheet is not None and (to or sided)):
         refuse("give VALUE UNIT --to UNIT, or --sheet SHEET")
@@ -233,25 +290,38 @@ def convert(
 
         print_result(datasheet(sheet), json)
         return
-    if unit is None or to is None or json:
+    if unit is None or to is None:
         refuse("give VALUE UNIT --to UNIT, e.g. 3 deg/s/√Hz --to deg/√h")
-    for line in _converted(float(value or 0.0), unit, to, sided):
-        print(line)
+    given = float(value or 0.0)
+    converted = _converted(given, unit, to, sided)
+    if json:
+        found = [{"value": x, "unit": to, "density": density} for density, x in converted.items()]
+        print_json({"schema_version": SCHEMA_VERSION, "value": given, "unit": unit, "converted": found})
+        return
+    for density, number in converted.items():
+        print(f"{given:g} {unit} = {number:.6g} {to}{_about(density, sided is not None)}")
 
 
-def _converted(value: float, unit: str, to: str, sided: Literal["one", "two"] | None) -> list[str]:
-    """Lines with the value in the other unit: one, or one per kind of density if that is not given."""
+def _converted(
+    value: float, unit: str, to: str, sided: Literal["one", "two"] | None
+) -> dict[str | None, float]:
+    """The value in the other unit by the kind of density that it is: None if that makes no difference."""
     from allanjax.record.units import convert, density_power
 
     number = convert(value, unit, to)
     power = density_power(unit) - density_power(to)
     if power == 0.0:
-        return [f"{value:g} {unit} = {number:.6g} {to}"]
-    one = f"{value:g} {unit} = {number / math.sqrt(2.0) ** (2.0 * power):.6g} {to}"
-    two = f"{value:g} {unit} = {number:.6g} {to}"
-    if sided is not None:
-        return [f"{one if sided == 'one' else two} ({sided}-sided density)"]
-    return [
-        f"{one} if the density is one-sided, as usual in data sheets (--sided one)",
-        f"{two} if it is two-sided, as in IEEE 952 and in allanjax (--sided two)",
-    ]
+        return {None: number}
+    both = {"one-sided": number / math.sqrt(2.0) ** (2.0 * power), "two-sided": number}
+    return {density: x for density, x in both.items() if sided is None or density.startswith(sided)}
+
+
+def _about(density: str | None, chosen: bool) -> str:
+    """What to add to a result about the kind of density, and whether the user chose it."""
+    if density is None:
+        return ""
+    if chosen:
+        return f" ({density} density)"
+    if density == "one-sided":
+        return " if the density is one-sided, as usual in data sheets (--sided one)"
+    return " if it is two-sided, as in IEEE 952 and in allanjax (--sided two)"

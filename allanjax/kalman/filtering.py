@@ -44,6 +44,7 @@ if TYPE_CHECKING:
 
 # Lags of the portmanteau test: at most this number, and at most this share of the samples.
 _LAGS, _SHARE = 40, 0.2
+SCHEMA_VERSION = 1
 _TESTS_EXPLAINED = (
     "whiteness p: Ljung–Box test of the innovations; NIS/n: normalized innovations squared per sample, 1 if "
     "their size is right; outlying and disturbed samples, which are not left out, increase it. A p below "
@@ -275,7 +276,8 @@ class Filtered(BiasTracks[FilteredAxis]):
     def to_dict(self) -> dict[str, Any]:
         """The result of each axis as plain dictionaries, in SI."""
         axes = [result.to_dict() for result in self.results]
-        return {"name": self.name, "rate_hz": self.results[0].rate, "axes": axes}
+        known = {"name": self.name, "rate_hz": self.results[0].rate}
+        return {"schema_version": SCHEMA_VERSION, **known, "axes": axes}
 
     def _heads(self, sensor: Sensor) -> tuple[str, ...]:
         tests = ("whiteness p", "NIS/n", "NIS p")

@@ -55,6 +55,7 @@ REMEDY = (
     "the recording; until then choose a value yourself"
 )
 #: Label of the least Allan deviation, which is no coefficient.
+SCHEMA_VERSION = 1
 LEAST = "least_allan_deviation"
 #: Default sample rate [Hz] for a sheet's noise, which hardly depends on it.
 RATE = 100.0
@@ -114,6 +115,7 @@ class DataSheet(ByValue, Tabled):
             for x in (c.in_unit(),)
         ]
         return {
+            "schema_version": SCHEMA_VERSION,
             "name": self.name,
             "source": self.source,
             "coefficients": coefficients,

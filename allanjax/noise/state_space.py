@@ -24,6 +24,7 @@ from allanjax.record.units import Sensor, default_coefficient_unit, si_unit
 
 _Square: TypeAlias = Float[np.ndarray, "n n"]
 # Doublings after which the sum for a stationary covariance has converged, or never will.
+SCHEMA_VERSION = 1
 _DOUBLINGS = 80
 
 
@@ -264,6 +265,13 @@ class StateSpace(ByValue, Tabled):
             transition, noise = transition @ transition, transition @ noise @ transition.T + noise
             n //= 2
         return all_of, added
+
+    def to_dict(self) -> dict[str, Any]:
+        """The matrices as nested lists, with names and units of the states, for JSON; in SI."""
+        known = {"model": self.model, "sensor": self.sensor, "rate_hz": self.rate}
+        matrices = {name: getattr(self, name).tolist() for name in ("A", "H", "Q", "R", "P0")}
+        states = {"names": list(self.names), "units": list(self.units)}
+        return {"schema_version": SCHEMA_VERSION, **known, **states, **matrices}
 
     @presented
     def to_numpy(self, path: str | os.PathLike[str]) -> None:
