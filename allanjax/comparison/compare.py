@@ -54,8 +54,8 @@ if TYPE_CHECKING:
 
 #: Horizons of the drift and the growth of errors [s]; probability of any difference among equal sensors.
 HORIZONS, LEVEL = (60.0, 600.0, 3600.0), 0.05
-# Coefficients that every sensor has, and which of N, B and K they are or follow from.
 SCHEMA_VERSION = 1
+# Coefficients that every sensor has, and which of N, B and K they are or follow from.
 _WANTED = {**USUAL, LEAST: "B"}
 _GRADES = ("grade of", "sensor", "by random walk", "by drift")
 # Longest time of an error as a multiple of the record, and what stands for longer ones; nodes of the mean

@@ -54,8 +54,8 @@ REMEDY = (
     "for a measurement, record the sensor at rest (allanjax check reports for how long) and characterize "
     "the recording; until then choose a value yourself"
 )
-#: Label of the least Allan deviation, which is no coefficient.
 SCHEMA_VERSION = 1
+#: Label of the least Allan deviation, which is no coefficient.
 LEAST = "least_allan_deviation"
 #: Default sample rate [Hz] for a sheet's noise, which hardly depends on it.
 RATE = 100.0

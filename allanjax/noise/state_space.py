@@ -23,8 +23,8 @@ from allanjax.record.units import Sensor, default_coefficient_unit, si_unit
 # state of its own beside the value at the end of the interval: the two share their noise, and R stays zero.
 
 _Square: TypeAlias = Float[np.ndarray, "n n"]
-# Doublings after which the sum for a stationary covariance has converged, or never will.
 SCHEMA_VERSION = 1
+# Doublings after which the sum for a stationary covariance has converged, or never will.
 _DOUBLINGS = 80
 
 
