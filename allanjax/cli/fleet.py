@@ -21,6 +21,7 @@ def fleet(
     *patterns: Annotated[str, Parameter(name="PATTERN", required=True)],
     how: Fitting = Fitting(),
     group: str | None = None,
+    unit: str | None = None,
     out: Path = RESULTS,
     format: Figures = "png",
     html: bool = False,
@@ -52,6 +53,9 @@ def fleet(
         Which units are compared with each other: a regular expression whose parentheses match the
         group's name in a file's path, e.g. 'logs/(\w+)/', or a CSV file with columns file, group.
         By default all are, or each of two groups that lie far apart.
+    unit
+        Which unit each recording is of, likewise, e.g. '(U\d+)_day'. Several recordings of a unit are
+        judged together, and one that differs from the others of its unit is named.
     out
         Folder for the results; a later run continues from it.
     format
@@ -73,6 +77,7 @@ def fleet(
             list(patterns),
             out,
             group=group,
+            unit=unit,
             workers=workers,
             scheduler=scheduler,
             piece=piece,

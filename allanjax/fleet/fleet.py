@@ -24,11 +24,11 @@ from allanjax.base.tables import Column, Tabled
 from allanjax.estimate.as_json import to_dict
 from allanjax.estimate.fit import Objective
 from allanjax.fleet.files import (
-    Groups,
+    Names,
     earlier,
-    group_names,
     key_of,
     matching_files,
+    names_by,
     recording_names,
     store,
     stored,
@@ -89,8 +89,8 @@ class FleetResult(ByValue, Tabled):
 
     @property
     def outlying(self) -> pd.DataFrame:
-        """The rows of outlying values, which differ from those of the other units of the group."""
-        return self.table[self.table["outlying"]]
+        """The rows of outlying units, and of records that differ from the others of their unit."""
+        return self.table[self.table["outlying"] | self.table["odd_record"]]
 
     def to_dataframe(self) -> pd.DataFrame:
         """Table of the coefficients, `table` itself."""
@@ -130,7 +130,8 @@ def characterize_fleet(
     as_is: bool = False,
     vibrating: bool = False,
     plain: bool = False,
-    group: Groups | None = None,
+    group: Names | None = None,
+    unit: Names | None = None,
     workers: int | None = None,
     scheduler: str | None = None,
     piece: int = 20_000_000,
@@ -162,8 +163,9 @@ def characterize_fleet(
         out: folder for the results.
         model, objective, regressors, as_is, vibrating, plain: as for `fit`; long recordings always plain.
         group: units to be compared: a regular expression, e.g. `logs/(\\w+)/`, a CSV file with the columns
-            file and group, a mapping, or a function of the path; see `fleet.files.group_names`. These groups
+            file and group, a mapping, or a function of the path; see `fleet.files.names_by`. These groups
             are not divided.
+        unit: which unit each recording is of, likewise, e.g. `(U\\d+)_`; by default each is of another one.
         workers: processes of a local cluster that exists during this call; by default one per core.
         scheduler: address of a cluster to use instead, e.g. `tcp://host:8786`; its workers need allanjax.
         piece: number of samples beyond which a recording is divided.
@@ -173,11 +175,11 @@ def characterize_fleet(
 
     Returns:
         The table and the errors. Units that differ from the others of their group are marked as outlying
-        (see `fleet.comparison`). Without `group`, units that clearly fall into two groups are compared
-        within these.
+        (see `fleet.comparison`), by their records together, and records that differ from the others of their
+        unit as odd. Without `group`, units that clearly fall into two groups are compared within these.
 
     Raises:
-        AllanjaxError: a pattern matches no file; a recording has no group; Dask is not installed; the
+        AllanjaxError: a pattern matches no file; a recording has no group or unit; Dask is not installed; the
             scheduler does not answer; `workers` below one or with `scheduler`; a `piece` below 10⁵ samples.
     """
     if piece < _SHORTEST_PIECE:
@@ -194,7 +196,9 @@ def characterize_fleet(
     model = None if model is None else as_model(model)
     options = FitOptions(ReadOptions(**reading), model, objective, tuple(regressors), as_is, vibrating, plain)
     recordings = dict(zip(recording_names(paths), paths, strict=True))
-    done = _Done(recordings, group_names(group, recordings))
+    units = {name: name for name in recordings} if unit is None else names_by(unit, recordings, "unit")
+    groups = dict.fromkeys(recordings, "") if group is None else names_by(group, recordings, "group")
+    done = _Done(recordings, units, groups)
     folder = out / _RECORDINGS
     folder.mkdir(parents=True, exist_ok=True)
     keys = {name: key_of(path, options) for name, path in recordings.items()}
@@ -220,6 +224,7 @@ class _Done:
     """Progress of a fleet by the recordings' names: rows of the table, and errors."""
 
     recordings: Mapping[str, Path]
+    units: Mapping[str, str]
     groups: Mapping[str, str]
     rows: dict[str, list[dict[str, Any]]] = field(default_factory=dict)
     errors: dict[str, list[str]] = field(default_factory=dict)
@@ -229,8 +234,8 @@ class _Done:
         if isinstance(outcome, Exception):
             self.errors[name] = [_reason(self.recordings[name], outcome)]
         else:
-            file, group = str(self.recordings[name]), self.groups[name]
-            self.rows[name] = [row for fit in outcome for row in rows_of(fit, name, file, group)]
+            about = str(self.recordings[name]), self.units[name], self.groups[name]
+            self.rows[name] = [row for fit in outcome for row in rows_of(fit, name, *about)]
             self.errors[name] = [text for fit in outcome for text in _axes_without_result(fit)]
 
     @property

@@ -14,7 +14,16 @@ from jaxtyping import Int
 from allanjax.base.tables import Column, Number, column, columns_from, tables_of
 from allanjax.base.wording import format_interval, plain, significant
 from allanjax.estimate.result import MAIN
-from allanjax.fleet.comparison import FEWEST_UNITS, Values, log_values, outlying, two_groups
+from allanjax.fleet.comparison import (
+    FALSE_ALARMS,
+    FEWEST_UNITS,
+    Marks,
+    Values,
+    log_values,
+    outlying,
+    two_groups,
+)
+from allanjax.fleet.units import joined, odd_records, over_others, scatters, united
 from allanjax.inspection.facts import listed, why_no_measurement
 from allanjax.noise.estimate import SYMBOLS, title_of
 from allanjax.record.units import Sensor
@@ -49,7 +58,7 @@ def table_schema() -> pa.Schema:
     import pyarrow as pa
 
     kinds = [
-        (pa.string(), "recording file group axis sensor coefficient"),
+        (pa.string(), "recording file unit_name group axis sensor coefficient"),
         (pa.float64(), "value std lower_95 upper_95"),
         (pa.string(), "unit"),
         (pa.bool_(), "detected"),
@@ -58,14 +67,18 @@ def table_schema() -> pa.Schema:
         (pa.float64(), "p_value"),
         (pa.string(), "terms"),
         (pa.bool_(), "outlying"),
-        (pa.float64(), "ratio start_s stop_s"),
+        (pa.float64(), "ratio"),
+        (pa.bool_(), "odd_record"),
+        (pa.float64(), "record_ratio start_s stop_s"),
         (pa.string(), "remarks warnings"),
     ]
     return pa.schema({name: kind for kind, names in kinds for name in names.split()})
 
 
-def rows_of(fit: Mapping[str, Any], recording: str, file: str, group: str = "") -> list[dict[str, Any]]:
-    """Rows of one recording, from its fit as `as_json.to_dict` gives it.
+def rows_of(
+    fit: Mapping[str, Any], recording: str, file: str, unit: str = "", group: str = ""
+) -> list[dict[str, Any]]:
+    """Rows of one recording, of a unit and a group, from its fit as `as_json.to_dict` gives it.
 
     Axes without a result have no rows, nor have the filters, resonances and lines for which an axis was
     corrected, which are among its remarks. Outlying units are marked later.
@@ -74,9 +87,12 @@ def rows_of(fit: Mapping[str, Any], recording: str, file: str, group: str = "") 
     of_all = {
         "recording": recording,
         "file": file,
+        "unit_name": unit,
         "group": group,
         "outlying": False,
         "ratio": None,
+        "odd_record": False,
+        "record_ratio": None,
         "start_s": start,
         "stop_s": stop,
         "warnings": "\n".join(fit["warnings"]),
@@ -110,20 +126,26 @@ def table_of(rows: Sequence[Mapping[str, Any]]) -> pd.DataFrame:
 
 
 class Family(NamedTuple):
-    """One coefficient of the units of a group, on all axes of a sensor.
+    """One coefficient of the recordings of a group, on all axes of a sensor.
 
     Attributes:
-        sensor, coefficient: sensor, label of the coefficient.
-        recordings: names of the units.
-        rows: their rows in the table, −1 where there is none.
-        axes: logarithms of the coefficient on each axis.
+        sensor, coefficient, group: sensor, label of the coefficient, group.
+        units: names of the units.
+        rows: rows of the recordings in the table, −1 where there is none.
+        axes: logarithms of the coefficient on each axis; the part of a recording is its unit's number.
     """
 
     sensor: Sensor
     coefficient: str
-    recordings: Sequence[str]
-    rows: Int[np.ndarray, "units axes"]
+    group: str
+    units: Sequence[str]
+    rows: Int[np.ndarray, "recordings axes"]
     axes: Sequence[Values]
+
+    def of_units(self, odd: Marks | None = None) -> list[Values]:
+        """Logarithms of the units, without odd recordings."""
+        none = np.zeros(self.rows.shape, bool)
+        return [*map(united, self.axes, (none if odd is None else odd).T)]
 
 
 def families(table: pd.DataFrame) -> Iterator[Family]:
@@ -131,43 +153,72 @@ def families(table: pd.DataFrame) -> Iterator[Family]:
     value, lower, upper, limit = (np.append(table[name].to_numpy(), np.nan) for name in _NUMBERS)
     is_detected = np.append(table["detected"].to_numpy(), False)
     parts: Mapping[Any, Any] = table.groupby(["group", "sensor", "coefficient"], sort=False).indices
-    for (_, sensor, coefficient), places in parts.items():
+    for (group, sensor, coefficient), places in parts.items():
         of = table.iloc[places]
-        units, names = of["recording"].factorize()
+        records, names = of["recording"].factorize()
         columns, axes = of["axis"].factorize()
+        unit, units = of["unit_name"].iloc[np.unique(records, return_index=True)[1]].factorize()
         rows = np.full((len(names), len(axes)), -1)
-        rows[units, columns] = places
-        values = [log_values(value[r], lower[r], upper[r], limit[r], is_detected[r]) for r in rows.T]
-        yield Family(sensor, coefficient, list(names), rows, values)
+        rows[records, columns] = places
+        values = [
+            log_values(value[r], lower[r], upper[r], limit[r], is_detected[r], part=unit) for r in rows.T
+        ]
+        yield Family(sensor, coefficient, group, list(units), rows, values)
 
 
 def judged(table: pd.DataFrame) -> tuple[pd.DataFrame, tuple[str, ...]]:
-    """Table with outlying values marked, in two groups if the units fall into these, and notes on it.
+    """Table with outlying units and records marked, in two groups if units fall into these, and notes on it.
 
-    Groups that a user named are not divided. `ratio` is the value over the median of its group.
+    Groups that a user named are not divided. `ratio` is the value over the median of its group's units,
+    `record_ratio` that over the median of the other records of its unit.
     """
     table, notes = _in_groups(table)
     compared = list(families(table))
-    marked = np.zeros(len(table) + 1, bool)
-    ratio = np.full(len(table) + 1, np.nan)
-    for family, is_odd in zip(compared, outlying([of.axes for of in compared]), strict=True):
-        marked[family.rows] = is_odd
-        for rows, axis in zip(family.rows.T, family.axes, strict=True):
-            ratio[rows] = np.where(axis.known, np.exp(axis.distance), np.nan)
-    table = table.assign(outlying=marked[:-1], ratio=ratio[:-1])
+    alarms = FALSE_ALARMS / (1 + any(len(of.units) < len(of.rows) for of in compared))
+    found = outlying([of.axes for of in compared], alarms)
+    odd = [odd_records(marks, of.axes) for marks, of in zip(found, compared, strict=True)]
+    units = [of.of_units(records) for of, records in zip(compared, odd, strict=True)]
+    flags = np.zeros((2, len(table) + 1), bool)
+    ratios = np.full((2, len(table) + 1), np.nan)
+    every = zip(compared, units, odd, _marked_units(compared, units, alarms), strict=True)
+    for of, own, records, marks in every:
+        flags[:, of.rows] = marks[of.axes[0].part], records
+        for rows, axis, unit in zip(of.rows.T, of.axes, own, strict=True):
+            x = unit.x[np.isfinite(unit.x)]
+            middle = np.median(x) if len(x) else np.nan
+            ratios[:, rows] = np.where(axis.known, np.exp([axis.x - middle, over_others(axis)]), np.nan)
+    names = ("outlying", "odd_record", "ratio", "record_ratio")
+    table = table.assign(**dict(zip(names, (*flags[:, :-1], *ratios[:, :-1]), strict=True)))
     return table, (*_warned(table), *notes, *_too_few(table))
+
+
+def _marked_units(
+    compared: Sequence[Family], units: Sequence[Sequence[Values]], alarms: float
+) -> list[Marks]:
+    """Marks of the units of each family; those of groups of three, which are too few, are compared together."""
+    few = FEWEST_UNITS - 1
+    keys = [
+        (of.sensor, of.coefficient, len(of.axes), "" if len(of.units) == few else of.group) for of in compared
+    ]
+    places = [[k for k, own in enumerate(keys) if own == key] for key in dict.fromkeys(keys)]
+    together = [[*map(joined, zip(*(units[k] for k in of), strict=True))] for of in places]
+    marks: dict[int, Marks] = {}
+    for of, found in zip(places, outlying(together, alarms), strict=True):
+        ends = np.cumsum([len(compared[k].units) for k in of])
+        marks |= zip(of, np.split(found, ends[:-1]), strict=True)
+    return [marks[k] for k in range(len(compared))]
 
 
 def _in_groups(table: pd.DataFrame) -> tuple[pd.DataFrame, list[str]]:
     """Table with the two groups that the units fall into, if they do, and a note on these."""
-    count = table["recording"].nunique()
-    whole = [family for family in families(table) if len(family.recordings) == count]
-    splits = [two_groups(family.axes) for family in whole]
+    count = table["unit_name"].nunique()
+    whole = [family for family in families(table) if len(family.units) == count]
+    splits = [two_groups(family.of_units()) for family in whole]
     best = int(np.argmax([0.0, *(split.gap for split in splits)])) - 1
     if (table["group"] != "").any() or best < 0 or splits[best].gap <= 1.0:
         return table, []
     family, split = whole[best], splits[best]
-    group = dict(zip(family.recordings, np.where(split.is_upper, "2", "1").tolist(), strict=True))
+    group = dict(zip(family.units, np.where(split.is_upper, "2", "1").tolist(), strict=True))
     members = {g: [name for name, own in group.items() if own == g] for g in "12"}
     told = (f"{g} ({len(names)} units: {listed(names, _NAMED)})" for g, names in members.items())
     note = (
@@ -175,7 +226,7 @@ def _in_groups(table: pd.DataFrame) -> tuple[pd.DataFrame, list[str]]:
         f"({family.sensor}), apart by a factor of {significant(split.ratio, 2)}: {', '.join(told)}. "
         "Units are compared within these; pass groups of your own with group= (--group)"
     )
-    return table.assign(group=table["recording"].map(group)), [note]
+    return table.assign(group=table["unit_name"].map(group)), [note]
 
 
 def _terms(axis: Mapping[str, Any]) -> list[str]:
@@ -226,8 +277,11 @@ def _warned(table: pd.DataFrame) -> list[str]:
 
 def _too_few(table: pd.DataFrame) -> list[str]:
     """Note on the groups that are too small for outlying units to be found."""
-    counts = table.groupby("group", sort=False)["recording"].nunique()
+    counts = table.groupby("group", sort=False)["unit_name"].nunique()
     small = counts[counts < FEWEST_UNITS]
+    if (small == FEWEST_UNITS - 1).sum() > 1:
+        # These are compared together.
+        small = small[small < FEWEST_UNITS - 1]
     words = [f"{f'group {g}, ' * bool(g)}{n} unit{'s' * (n > 1)}" for g, n in small.items()]
     needed = f"too few to detect outlying units; {FEWEST_UNITS} are needed"
     return [f"{listed(words, _NAMED)}: {needed}"] if words else []

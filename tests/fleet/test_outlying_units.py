@@ -25,7 +25,7 @@ def p_value(x, s, unit):
     spread = np.mean(np.sort(distance)[:inner] ** 2) / truncnorm.var(-end, end)
     spread = max(spread, np.median(error))
     own = spread - np.median(error) + error[unit]
-    degrees = min(inner - 1.0, 0.8 * inner) * (own / spread) ** 2
+    degrees = min(inner - 2.0 + inner / (n - 1), 0.8 * inner) * (own / spread) ** 2
     return 2.0 * student.sf(distance[unit] / np.sqrt(own + 0.5 * np.pi * spread / n), degrees)
 
 
