@@ -164,7 +164,7 @@ def _pairs_of(path: Path, of: str) -> list[tuple[str, str]]:
 def _looked_up(
     pairs: list[tuple[str, str]], recordings: Mapping[str, Path], folder: Path, of: str
 ) -> dict[str, str]:
-    """Groups (or units) of the recordings that pairs name, by path (from here or from the folder), file or name."""
+    """Groups or units of the recordings that pairs name, by path (from here or the folder), file, name."""
     shared = Counter(path.name for path in recordings.values())
     names: dict[str, str] = {}
     for name, path in recordings.items():

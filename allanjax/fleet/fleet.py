@@ -39,6 +39,7 @@ from allanjax.fleet.table import (
     judged,
     left_out,
     lines_of,
+    notes_on_units,
     rows_of,
     table_of,
     table_schema,
@@ -117,7 +118,7 @@ class FleetResult(ByValue, Tabled):
         return tables(self.table)
 
     def _notes(self) -> list[str]:
-        return [*lines_of(self.table), *self.notes]
+        return [*lines_of(self.table), *self.notes, *notes_on_units(self.table)]
 
 
 def characterize_fleet(

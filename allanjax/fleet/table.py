@@ -50,6 +50,8 @@ _UNITS = ("Hz", "%", "s")
 _NAMED = 5
 # Units with remarks that are printed at most, and characters of the names in a cell.
 _ROWS, _SHORT = 40, 28
+# Factor up to which the ratios of a sensor's axes are told as one.
+_ALIKE = 1.1
 
 
 @functools.cache
@@ -132,6 +134,7 @@ class Family(NamedTuple):
         sensor, coefficient, group: sensor, label of the coefficient, group.
         units: names of the units.
         rows: rows of the recordings in the table, −1 where there is none.
+        names: names of the axes.
         axes: logarithms of the coefficient on each axis; the part of a recording is its unit's number.
     """
 
@@ -140,6 +143,7 @@ class Family(NamedTuple):
     group: str
     units: Sequence[str]
     rows: Int[np.ndarray, "recordings axes"]
+    names: Sequence[str]
     axes: Sequence[Values]
 
     def of_units(self, odd: Marks | None = None) -> list[Values]:
@@ -163,7 +167,7 @@ def families(table: pd.DataFrame) -> Iterator[Family]:
         values = [
             log_values(value[r], lower[r], upper[r], limit[r], is_detected[r], part=unit) for r in rows.T
         ]
-        yield Family(sensor, coefficient, group, list(units), rows, values)
+        yield Family(sensor, coefficient, group, list(units), rows, list(axes), values)
 
 
 def judged(table: pd.DataFrame) -> tuple[pd.DataFrame, tuple[str, ...]]:
@@ -195,10 +199,10 @@ def judged(table: pd.DataFrame) -> tuple[pd.DataFrame, tuple[str, ...]]:
 def _marked_units(
     compared: Sequence[Family], units: Sequence[Sequence[Values]], alarms: float
 ) -> list[Marks]:
-    """Marks of the units of each family; those of groups of three, which are too few, are compared together."""
+    """Marks of the units of each family; groups of three, which are too few, are compared together."""
     few = FEWEST_UNITS - 1
     keys = [
-        (of.sensor, of.coefficient, len(of.axes), "" if len(of.units) == few else of.group) for of in compared
+        (of.sensor, of.coefficient, *of.names, "" if len(of.units) == few else of.group) for of in compared
     ]
     places = [[k for k, own in enumerate(keys) if own == key] for key in dict.fromkeys(keys)]
     together = [[*map(joined, zip(*(units[k] for k in of), strict=True))] for of in places]
@@ -300,17 +304,19 @@ def left_out(files: Sequence[Path], folder: Path) -> str:
 def tables(table: pd.DataFrame) -> list[list[Column]]:
     """Tables with one row per axis and group: of the median and of the range of each coefficient, by sensor.
 
-    Median, scatter and range are those of estimates with an interval, without outlying units; counts are of
-    axes that are a measurement of the sensor.
+    Median, scatter and range are those of units with an estimate that has an interval, without outlying ones;
+    counts are of recordings whose axis is a measurement of the sensor. Where units have several recordings,
+    there is a table of the scatter within and between units, too.
     """
     printed: list[list[Column]] = []
+    spread = _scatters(table) if _has_several(table) else {}
     for _, of in table.groupby("sensor", sort=False):
         axes = list(of["axis"].unique())
         rows = sorted({*zip(of["axis"], of["group"], strict=True)}, key=lambda r: (axes.index(r[0]), r[1]))
         of_rows = [of[(of["axis"] == axis) & (of["group"] == group)] for axis, group in rows]
         first = columns_from(("axis", "group"), rows)
-        counts = [(_detected(row), _outlying_units(row)) for row in of_rows]
-        medians, ranges = list[Column](), list[Column]()
+        counts = [(_detected(row), _units(row), _outlying_units(row)) for row in of_rows]
+        medians, ranges, scatter = list[Column](), list[Column](), list[Column]()
         labels = sorted({*of["coefficient"]}, key=lambda name: [*SYMBOLS, name].index(name))
         for label in labels:
             unit = of.loc[of["coefficient"] == label, "unit"].iloc[0]
@@ -318,12 +324,43 @@ def tables(table: pd.DataFrame) -> list[list[Column]]:
             usual = [_usual(row[row["coefficient"] == label]) for row in of_rows]
             medians.append(column(name, unit, list(map(_median, usual))))
             ranges.append(column(f"{name} 5…95 %", unit, list(map(_range, usual))))
+            cells = [spread.get((*row, label), ("", "")) for row in rows]
+            scatter += columns_from((f"{name} within units (%)", f"{name} between units (%)"), cells)
         main = sum(label in MAIN for label in labels)
-        last = columns_from(("detected", "outlying"), counts)
+        last = columns_from(("detected", "units", "outlying"), counts)
         printed += tables_of(first, medians[:main], medians[main:], last)
-        if any(any(c.cells) for c in ranges):
-            printed += tables_of(first, ranges[:main], ranges[main:])
+        for own, count in ((ranges, main), (scatter, 2 * main)):
+            if any(any(c.cells) for c in own):
+                printed += tables_of(first, own[:count], own[count:])
     return printed
+
+
+def _has_several(table: pd.DataFrame) -> bool:
+    """Whether a unit has several recordings."""
+    return bool(table["unit_name"].nunique() < table["recording"].nunique())
+
+
+def notes_on_units(table: pd.DataFrame) -> list[str]:
+    """What the table of scatters states, if there is one."""
+    text = "within, between units: scatter of a unit's records, and of the units, beyond what errors explain"
+    return [f"{text} (95 % interval, or 95 % upper limit)"] if _has_several(table) else []
+
+
+def _scatters(table: pd.DataFrame) -> dict[Any, list[str]]:
+    """Scatter of each coefficient within and between units [%], 95 % intervals; by axis, group, label."""
+    odd = np.append((table["outlying"] | table["odd_record"]).to_numpy(), False)
+    found = {}
+    for of in families(table):
+        for name, rows, axis in zip(of.names, of.rows.T, of.axes, strict=True):
+            texts = []
+            for sizes in scatters(axis, odd[rows]):
+                size, low, high, limit = (significant(100.0 * x, 2) for x in sizes)
+                detected = sizes[1] > 0.0
+                # A limit above 100 % tells nothing.
+                known = detected or sizes[3] < 1.0
+                texts.append((f"{size} ({low} … {high})" if detected else f"< {limit}") if known else "")
+            found[name, of.group, of.coefficient] = texts
+    return found
 
 
 def _found(of: pd.DataFrame) -> pd.DataFrame:
@@ -332,9 +369,16 @@ def _found(of: pd.DataFrame) -> pd.DataFrame:
 
 
 def _usual(of: pd.DataFrame) -> pd.DataFrame:
-    """The same without outlying units."""
+    """Mean value and error of each unit, without outlying units and odd recordings."""
     found = _found(of)
-    return found[~found["outlying"]]
+    usual = found[~(found["outlying"] | found["odd_record"])]
+    return usual.groupby("unit_name", sort=False)[["value", "std"]].mean()
+
+
+def _units(of: pd.DataFrame) -> str:
+    """How many units there are, and with how many recordings, if some have several."""
+    counts = of[["unit_name", "recording"]].nunique()
+    return f"{counts.iloc[0]} with {counts.iloc[1]} records" if counts.iloc[0] < counts.iloc[1] else ""
 
 
 def _median(usual: pd.DataFrame) -> Number | None:
@@ -362,10 +406,16 @@ def _detected(of: pd.DataFrame) -> str:
 
 
 def _outlying_units(of: pd.DataFrame) -> str:
-    """Names of the outlying units, or their number."""
-    names = of.loc[of["outlying"], "recording"].unique()
+    """Names of the outlying units and odd recordings, or their number."""
+    names = outlying_names(of)
     text = ", ".join(names)
     return text if len(text) < _SHORT else f"{len(names)} units"
+
+
+def outlying_names(table: pd.DataFrame) -> list[str]:
+    """Names of the outlying units, and of recordings that differ from the others of their unit."""
+    units = table.loc[table["outlying"], "unit_name"]
+    return [*dict.fromkeys([*units, *table.loc[table["odd_record"], "recording"]])]
 
 
 def times(ratio: float) -> str:
@@ -373,17 +423,32 @@ def times(ratio: float) -> str:
     return f"×{significant(ratio)}"
 
 
+def _places(of: pd.DataFrame, ratio: str, table: pd.DataFrame) -> Iterator[tuple[str, float]]:
+    """Axes and coefficients that are off, and how many times; the axes of a sensor as one if they agree."""
+    axes: Mapping[Any, int] = dict(table.groupby("sensor")["axis"].nunique())
+    for (sensor, label), part in of.groupby(["sensor", "coefficient"], sort=False):
+        symbol = SYMBOLS.get(str(label), str(label))
+        each = np.exp(np.log(part[ratio]).groupby(part["axis"], sort=False).mean())
+        if 1 < len(each) == axes[sensor] and each.max() < _ALIKE * each.min():
+            yield f"{sensor} {symbol}", float(np.exp(np.log(each).mean()))
+        else:
+            yield from ((f"{axis} {symbol}", size) for axis, size in each.items())
+
+
 def lines_of(table: pd.DataFrame, most: int = _ROWS) -> list[str]:
-    """A line per unit: in what it is outlying, and what was corrected, left out or is wrong on its axes.
+    """A line per unit or record: in what it is outlying; what was corrected, left out or is wrong on it.
 
     There are at most so many lines, and one that says how many more there would be.
     """
     lines: dict[str, list[str]] = {}
-    for unit, of in table[table["outlying"]].groupby("recording", sort=False):
-        symbols = [SYMBOLS.get(label, label) for label in of["coefficient"]]
-        places = zip(of["axis"], symbols, of["ratio"], strict=True)
-        words = ", ".join(f"{axis} {symbol} {times(ratio)}" for axis, symbol, ratio in places)
-        lines[str(unit)] = [f"outlying against the median of its group: {words}"]
+    for unit, of in table[table["outlying"]].groupby("unit_name", sort=False):
+        words = (f"{place} {times(ratio)}" for place, ratio in _places(of[~of["odd_record"]], "ratio", table))
+        lines[str(unit)] = [f"outlying against the median of its group: {', '.join(words)}"]
+    for name, of in table[table["odd_record"]].groupby("recording", sort=False):
+        words = (f"{place} {significant(x)} ×" for place, x in _places(of, "record_ratio", table))
+        count = table.loc[table["unit_name"] == of["unit_name"].iloc[0], "recording"].nunique()
+        others = "its other records" if count > 2 else "its other record"
+        lines.setdefault(str(name), []).append(f"{', '.join(words)} {others}")
     for unit, of in table.drop_duplicates(["recording", "axis"]).groupby("recording", sort=False):
         for remarks, part in of[of["remarks"] != ""].groupby("remarks", sort=False):
             axes = "all axes" if len(part) == len(of) > 1 else ", ".join(part["axis"])

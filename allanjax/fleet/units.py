@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from allanjax.comparison.random_effects import Laws, Pooled, RandomEffects, random_effects
+from allanjax.comparison.random_effects import Laws, Pooled, random_effects
 from allanjax.fleet.comparison import Flags, Marks, Numbers, Values
 
 
@@ -31,14 +31,19 @@ def united(records: Values, left_out: Flags) -> Values:
     return Values(x, np.nan_to_num(below), np.nan_to_num(above), has_estimate, np.zeros(len(total), int))
 
 
-def scatters(records: Values, left_out: Flags) -> tuple[RandomEffects | None, Pooled | None]:
-    """Scatter of ln of a coefficient between units, and over the records within these; None of fewer than two."""
+def scatters(records: Values, left_out: Flags) -> list[tuple[float, float, float, float]]:
+    """Scatter of a coefficient's ln within and between units: size, 95 % interval, limit; NaN if unknown."""
     units = _laws(records, records.known & ~left_out)
-    within = Pooled(units) if any(of.dof for of in units) else None
-    if len(units) < 2:
-        return None, within
-    means = [of.fitted(0.0 if within is None else within.scatter()) for of in units]
-    return random_effects([of.mean for of in means], [of.std for of in means]), within
+    found, variance = [(np.nan,) * 4] * 2, 0.0
+    if any(of.dof for of in units):
+        within = Pooled(units)
+        variance = within.scatter()
+        found[0] = float(np.sqrt(variance)), *within.scatter_ends(0.025), within.scatter_ends(0.05)[1]
+    if len(units) > 1:
+        means = [of.fitted(variance) for of in units]
+        of = random_effects(*np.transpose([(of.mean, of.std) for of in means]))
+        found[1] = of.scatter, *of.scatter_interval, of.scatter_limit
+    return found
 
 
 def _laws(records: Values, known: Flags) -> list[Laws]:
@@ -49,7 +54,7 @@ def _laws(records: Values, known: Flags) -> list[Laws]:
 
 
 def over_others(records: Values) -> Numbers:
-    """Distance of each record's estimate from the median of the other records of its unit; NaN of one alone."""
+    """Distance of each record's estimate from the median of its unit's other records; NaN of one alone."""
     distance = np.full(len(records.x), np.nan)
     x = np.where(records.known, records.x, np.nan)
     for own in records.places:
