@@ -169,7 +169,7 @@ def p_values(values: Values) -> Numbers:
     for own in places if several else ():
         free[own[np.argmin(abs(distance[own]))]] = False
     count, lost = int(free.sum()), 0 if several else 1
-    if count - lost < FEWEST_UNITS - 1 or not known.any():
+    if count - lost < FEWEST_UNITS - 1 or not (known & free).any():
         return np.full(len(values.x), np.nan)
     # The end of the interval that faces the others.
     error = np.where(distance > 0.0, values.below, values.above) ** 2
@@ -183,7 +183,9 @@ def p_values(values: Values) -> Numbers:
     few = inner + inner / (count - lost) - 2.0
     # Errors are known: the larger a unit's own, the more degrees of freedom.
     degrees = (min(few, _FREEDOM * inner) if lost else _FREEDOM * inner) * (own_spread / spread) ** 2
-    of_median = lost * 0.5 * np.pi * spread / count
+    of_median = np.zeros(len(distance))
+    for own in places:
+        of_median[own] = 0.5 * np.pi * np.median(own_spread[own]) / len(own)
     tail = 2.0 * stdtr(degrees, -abs(distance) / np.sqrt(own_spread + of_median))
     return np.where(values.known, tail, np.nan)
 
