@@ -186,8 +186,10 @@ def p_values(values: Values) -> Numbers:
     of_median = np.zeros(len(distance))
     for own in places:
         of_median[own] = 0.5 * np.pi * np.median(own_spread[own]) / len(own)
-    tail = 2.0 * stdtr(degrees, -abs(distance) / np.sqrt(own_spread + of_median))
-    return np.where(values.known, tail, np.nan)
+    tail = np.full(len(distance), np.nan)
+    away = -abs(distance[known]) / np.sqrt((own_spread + of_median)[known])
+    tail[known] = 2.0 * stdtr(degrees[known], away)
+    return tail
 
 
 def _inner(count: int) -> int:

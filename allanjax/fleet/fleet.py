@@ -21,7 +21,8 @@ from allanjax.base.equality import ByValue
 from allanjax.base.errors import AllanjaxError, MixedRatesError
 from allanjax.base.late import presented
 from allanjax.base.tables import Column, Tabled
-from allanjax.estimate.as_json import to_dict
+from allanjax.comparison.specification import SpecCheck, SpecLike, read_sheet, read_spec
+from allanjax.estimate.as_json import fits_in, to_dict
 from allanjax.estimate.fit import Objective
 from allanjax.fleet.files import (
     Names,
@@ -33,9 +34,11 @@ from allanjax.fleet.files import (
     store,
     stored,
 )
+from allanjax.fleet.limits import checked, lines_of_limits, rows_of_limits, table_of_limits, verdict_of
 from allanjax.fleet.options import FitOptions
 from allanjax.fleet.stream import AllanAccumulator, accumulate
 from allanjax.fleet.table import (
+    ROWS,
     judged,
     left_out,
     lines_of,
@@ -80,6 +83,7 @@ class FleetResult(ByValue, Tabled):
         files: the recordings; `resumed` of them have results from an earlier run.
         notes: remarks on the table: recordings of an earlier run that are left out; recordings with warnings;
             two groups that the units fall into, or groups that are too small to judge.
+        checks: of each recording with a result, the check of its limits, if a specification was given.
     """
 
     table: pd.DataFrame
@@ -87,6 +91,7 @@ class FleetResult(ByValue, Tabled):
     files: tuple[Path, ...]
     resumed: int
     notes: tuple[str, ...] = ()
+    checks: tuple[SpecCheck, ...] = ()
 
     @property
     def outlying(self) -> pd.DataFrame:
@@ -102,6 +107,11 @@ class FleetResult(ByValue, Tabled):
         """Draw the distribution of each coefficient over the fleet; see `plot_fleet`."""
         raise NotImplementedError
 
+    @presented
+    def to_junit(self) -> str:
+        """The checks of limits as JUnit XML: a test suite per recording, a case per axis and limit."""
+        raise NotImplementedError
+
     @property
     def summary(self) -> str:
         """How many recordings there are, and how many of them failed."""
@@ -112,13 +122,18 @@ class FleetResult(ByValue, Tabled):
         )
 
     def _title(self) -> str:
-        return self.summary
+        return "\n".join([self.summary, *([verdict_of(self.checks)] if self.checks else [])])
 
     def _tables(self) -> list[list[Column]]:
-        return tables(self.table)
+        return [*tables(self.table), *([table_of_limits(self.checks)] if self.checks else [])]
 
     def _notes(self) -> list[str]:
-        return [*lines_of(self.table), *self.notes, *notes_on_units(self.table)]
+        return self.lines(ROWS)
+
+    def lines(self, most: int) -> list[str]:
+        """Outlying units and remarks, limits that are not met, and notes: of the first two so many lines."""
+        of_limits = lines_of_limits(self.checks, most)
+        return [*lines_of(self.table, most), *of_limits, *self.notes, *notes_on_units(self.table)]
 
 
 def characterize_fleet(
@@ -133,6 +148,7 @@ def characterize_fleet(
     plain: bool = False,
     group: Names | None = None,
     unit: Names | None = None,
+    spec: SpecLike | None = None,
     workers: int | None = None,
     scheduler: str | None = None,
     piece: int = 20_000_000,
@@ -167,6 +183,8 @@ def characterize_fleet(
             file and group, a mapping, or a function of the path; see `fleet.files.names_by`. These groups
             are not divided.
         unit: which unit each recording is of, likewise, e.g. `(U\\d+)_`; by default each is of another one.
+        spec: limits that each recording is checked against, see `check_spec`; writes `fleet_spec.csv` (one
+            row per recording, axis and limit) and `fleet_spec.xml` (JUnit XML).
         workers: processes of a local cluster that exists during this call; by default one per core.
         scheduler: address of a cluster to use instead, e.g. `tcp://host:8786`; its workers need allanjax.
         piece: number of samples beyond which a recording is divided.
@@ -192,6 +210,10 @@ def characterize_fleet(
             "workers= (--workers) is for a local cluster, but the cluster at scheduler= (--scheduler) has "
             "its own workers; leave out one of the two"
         )
+    sheet = None if spec is None else read_sheet(spec)
+    if spec is not None:
+        # A wrong file ends the call before recordings are read.
+        read_spec(spec)
     out = Path(out)
     paths = matching_files(files, out)
     model = None if model is None else as_model(model)
@@ -209,14 +231,19 @@ def characterize_fleet(
     report = progress or (lambda done, failed, total: None)
     report(*done.counts, len(paths))
     todo = [name for name in recordings if name not in resumed]
-    if todo:
-        with _connected(scheduler, workers, len(todo)) as client:
+    if todo or sheet is not None:
+        with _connected(scheduler, workers, len(todo) or len(resumed)) as client:
             calls = {name: _call_for(client, recordings[name].absolute(), options, piece) for name in todo}
             for name, outcome in _outcomes(client, calls):
                 if not isinstance(outcome, Exception):
                     store(folder, name, keys[name], outcome)
                 done.take(name, outcome)
                 report(*done.counts, len(paths))
+            if sheet is not None:
+                fits = {name: fits_in(folder / f"{name}.json") for name in recordings if name in done.rows}
+                checks = {name: (checked, (of, name, sheet)) for name, of in fits.items()}
+                for name, outcome in _outcomes(client, checks):
+                    done.take_check(name, outcome)
     return _written(done, len(resumed), (left_out(others, folder),) if others else (), out, figure_format)
 
 
@@ -229,6 +256,7 @@ class _Done:
     groups: Mapping[str, str]
     rows: dict[str, list[dict[str, Any]]] = field(default_factory=dict)
     errors: dict[str, list[str]] = field(default_factory=dict)
+    checks: dict[str, SpecCheck] = field(default_factory=dict)
 
     def take(self, name: str, outcome: Sequence[Mapping[str, Any]] | Exception) -> None:
         """Add the fits of a recording, or the error that prevented them."""
@@ -238,6 +266,13 @@ class _Done:
             about = str(self.recordings[name]), self.units[name], self.groups[name]
             self.rows[name] = [row for fit in outcome for row in rows_of(fit, name, *about)]
             self.errors[name] = [text for fit in outcome for text in _axes_without_result(fit)]
+
+    def take_check(self, name: str, outcome: SpecCheck | Exception) -> None:
+        """Add the check of a recording's limits, or the error that prevented it."""
+        if isinstance(outcome, Exception):
+            self.errors[name].append(f"limits: {_reason(self.recordings[name], outcome)}")
+        else:
+            self.checks[name] = outcome
 
     @property
     def counts(self) -> tuple[int, int]:
@@ -337,7 +372,8 @@ def _written(done: _Done, resumed: int, notes: tuple[str, ...], out: Path, figur
         for name, path in done.recordings.items()
         for message in done.errors.get(name, ())
     )
-    result = FleetResult(table, errors, tuple(done.recordings.values()), resumed, (*notes, *more))
+    checks = tuple(done.checks[name] for name in done.recordings if name in done.checks)
+    result = FleetResult(table, errors, tuple(done.recordings.values()), resumed, (*notes, *more), checks)
     columns = pyarrow.Table.from_pandas(table, table_schema(), preserve_index=False)
     pyarrow.parquet.write_table(columns, out / "fleet.parquet")
     with (out / "errors.csv").open("w", newline="", encoding="utf-8") as stream:
@@ -345,9 +381,15 @@ def _written(done: _Done, resumed: int, notes: tuple[str, ...], out: Path, figur
         writer.writeheader()
         writer.writerows(result.errors)
     failed = [f"{error['file']}: {error['message']}" for error in errors]
-    lines = [*lines_of(table, len(table)), *result.notes, *failed]
+    lines = [*result.lines(sys.maxsize), *failed]
     (out / "notes.txt").write_text("".join(f"{line}\n" for line in lines), encoding="utf-8")
     result.plot(out / f"fleet.{figure_format}")
+    if checks:
+        import pandas as pd
+
+        limits = pd.DataFrame(rows_of_limits(checks, done.units))
+        limits.to_csv(out / "fleet_spec.csv", index=False)
+        (out / "fleet_spec.xml").write_text(result.to_junit(), encoding="utf-8")
     return result
 
 

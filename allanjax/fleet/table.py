@@ -48,8 +48,10 @@ _NAMES = {
 _UNITS = ("Hz", "%", "s")
 # Names that a note lists at most.
 _NAMED = 5
-# Units with remarks that are printed at most, and characters of the names in a cell.
-_ROWS, _SHORT = 40, 28
+#: Units with remarks, or limits that are not met, that are printed at most.
+ROWS = 40
+# Characters of the names in a cell.
+_SHORT = 28
 # Factor up to which the ratios of a sensor's axes are told as one.
 _ALIKE = 1.1
 
@@ -179,8 +181,7 @@ def judged(table: pd.DataFrame) -> tuple[pd.DataFrame, tuple[str, ...]]:
     table, notes = _in_groups(table)
     compared = list(families(table))
     alarms = FALSE_ALARMS / (1 + any(len(of.units) < len(of.rows) for of in compared))
-    found = outlying([of.axes for of in compared], alarms)
-    odd = [odd_records(marks, of.axes) for marks, of in zip(found, compared, strict=True)]
+    odd = odd_records([of.axes for of in compared], alarms)
     units = [of.of_units(records) for of, records in zip(compared, odd, strict=True)]
     flags = np.zeros((2, len(table) + 1), bool)
     ratios = np.full((2, len(table) + 1), np.nan)
@@ -435,7 +436,7 @@ def _places(of: pd.DataFrame, ratio: str, table: pd.DataFrame) -> Iterator[tuple
             yield from ((f"{axis} {symbol}", size) for axis, size in each.items())
 
 
-def lines_of(table: pd.DataFrame, most: int = _ROWS) -> list[str]:
+def lines_of(table: pd.DataFrame, most: int) -> list[str]:
     """A line per unit or record: in what it is outlying; what was corrected, left out or is wrong on it.
 
     There are at most so many lines, and one that says how many more there would be.

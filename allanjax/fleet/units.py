@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
 from allanjax.comparison.random_effects import Laws, Pooled, random_effects
-from allanjax.fleet.comparison import Flags, Marks, Numbers, Values
+from allanjax.fleet.comparison import Flags, Marks, Numbers, Values, outlying
 
 
 def united(records: Values, left_out: Flags) -> Values:
@@ -70,11 +71,20 @@ def joined(groups: Sequence[Values]) -> Values:
     return Values(x, below, above, np.concatenate([of.known for of in groups]), part)
 
 
-def odd_records(marks: Marks, axes: Sequence[Values]) -> Marks:
-    """Those of the marked records that differ from the others of their unit, at most half of these.
+def odd_records(families: Sequence[Sequence[Values]], alarms: float) -> list[Marks]:
+    """Marks of records that differ from the others of their unit, at most half of these; see `outlying`.
 
-    Of two records that differ, and of two halves, those farther from the median of all are odd.
+    Estimates are compared, without limits. Of two records that differ, and of two halves, those farther from
+    the median of all are odd.
     """
+    estimates = [
+        [replace(axis, x=np.where(axis.known, axis.x, np.nan)) for axis in axes] for axes in families
+    ]
+    return [*map(_minority, outlying(estimates, alarms), estimates)]
+
+
+def _minority(marks: Marks, axes: Sequence[Values]) -> Marks:
+    """The marks of at most half of a unit's records, those farther from the median of all records."""
     distances = [abs(axis.x - np.nanmedian(axis.x)) for axis in axes if np.isfinite(axis.x).any()]
     far, kept = np.fmax.reduce([*distances, np.zeros(len(marks))], axis=0), np.zeros_like(marks)
     for unit in np.unique(axes[0].part):

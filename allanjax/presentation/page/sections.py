@@ -19,7 +19,8 @@ from allanjax.critic.result import Critique
 from allanjax.estimate.check import Check
 from allanjax.estimate.result import MAIN, Fit, detail
 from allanjax.fleet.fleet import FleetResult
-from allanjax.fleet.table import lines_of, outlying_names, times
+from allanjax.fleet.limits import table_of_limits, verdict_of
+from allanjax.fleet.table import ROWS, outlying_names, times
 from allanjax.fleet.table import tables as fleet_tables
 from allanjax.inspection.facts import listed
 from allanjax.noise.estimate import SYMBOLS, Estimate, title_of
@@ -305,7 +306,9 @@ def of_fleet(fleet: FleetResult, pages: Mapping[str, str]) -> Iterator[Section]:
     blocks: list[Block] = [Text(f"{verdict}; {fleet.summary}.", f"verdict {style}")]
     tables = (columns for columns in fleet_tables(table) if sum(any(c.cells) for c in columns) > 1)
     blocks.append(Row([*map(Table.of, tables)]))
-    blocks += [Text(line, "note") for line in lines_of(table)]
+    if fleet.checks:
+        blocks += [Text(f"{verdict_of(fleet.checks)}."), Row([Table.of(table_of_limits(fleet.checks))])]
+    blocks += [Text(line, "note") for line in fleet.lines(ROWS) if line not in fleet.notes]
     blocks += [Text(note, "warning") for note in fleet.notes]
     if fleet.errors:
         errors = [Text(f"{error['file']}: {error['message']}", "warning") for error in fleet.errors]
