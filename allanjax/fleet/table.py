@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import functools
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -181,11 +181,11 @@ def judged(table: pd.DataFrame) -> tuple[pd.DataFrame, tuple[str, ...]]:
     table, notes = _in_groups(table)
     compared = list(families(table))
     alarms = FALSE_ALARMS / (1 + any(len(of.units) < len(of.rows) for of in compared))
-    odd = odd_records([of.axes for of in compared], alarms)
+    odd = _marked(compared, [of.axes for of in compared], odd_records, alarms)
     units = [of.of_units(records) for of, records in zip(compared, odd, strict=True)]
     flags = np.zeros((2, len(table) + 1), bool)
     ratios = np.full((2, len(table) + 1), np.nan)
-    every = zip(compared, units, odd, _marked_units(compared, units, alarms), strict=True)
+    every = zip(compared, units, odd, _marked(compared, units, outlying, alarms), strict=True)
     for of, own, records, marks in every:
         flags[:, of.rows] = marks[of.axes[0].part], records
         for rows, axis, unit in zip(of.rows.T, of.axes, own, strict=True):
@@ -197,19 +197,25 @@ def judged(table: pd.DataFrame) -> tuple[pd.DataFrame, tuple[str, ...]]:
     return table, (*_warned(table), *notes, *_too_few(table))
 
 
-def _marked_units(
-    compared: Sequence[Family], units: Sequence[Sequence[Values]], alarms: float
+def _marked(
+    compared: Sequence[Family],
+    values: Sequence[Sequence[Values]],
+    test: Callable[[Sequence[Sequence[Values]], float], list[Marks]],
+    alarms: float,
 ) -> list[Marks]:
-    """Marks of the units of each family; groups of three, which are too few, are compared together."""
+    """Marks that a test gives the units or recordings of each family.
+
+    Those of groups of three units, too few by themselves, are compared together, each about its own median.
+    """
     few = FEWEST_UNITS - 1
     keys = [
         (of.sensor, of.coefficient, *of.names, "" if len(of.units) == few else of.group) for of in compared
     ]
     places = [[k for k, own in enumerate(keys) if own == key] for key in dict.fromkeys(keys)]
-    together = [[*map(joined, zip(*(units[k] for k in of), strict=True))] for of in places]
+    together = [[*map(joined, zip(*(values[k] for k in of), strict=True))] for of in places]
     marks: dict[int, Marks] = {}
-    for of, found in zip(places, outlying(together, alarms), strict=True):
-        ends = np.cumsum([len(compared[k].units) for k in of])
+    for of, found in zip(places, test(together, alarms), strict=True):
+        ends = np.cumsum([len(values[k][0].x) for k in of])
         marks |= zip(of, np.split(found, ends[:-1]), strict=True)
     return [marks[k] for k in range(len(compared))]
 

@@ -65,10 +65,14 @@ def over_others(records: Values) -> Numbers:
 
 
 def joined(groups: Sequence[Values]) -> Values:
-    """Values of several groups as one, a part each."""
-    part = np.repeat(np.arange(len(groups)), [len(of.x) for of in groups])
-    x, below, above = (np.concatenate([getattr(of, k) for of in groups]) for k in ("x", "below", "above"))
-    return Values(x, below, above, np.concatenate([of.known for of in groups]), part)
+    """Values of several groups as one, about the median of their group, with the parts of each."""
+    if len(groups) == 1:
+        return groups[0]
+    x = [of.x - np.nanmedian(of.x) if np.isfinite(of.x).any() else of.x for of in groups]
+    begins = np.cumsum([0, *(of.part.max() + 1 for of in groups[:-1])])
+    part = [of.part + begin for of, begin in zip(groups, begins, strict=True)]
+    below, above, known = ([getattr(of, key) for of in groups] for key in ("below", "above", "known"))
+    return Values(*map(np.concatenate, (x, below, above, known, part)))
 
 
 def odd_records(families: Sequence[Sequence[Values]], alarms: float) -> list[Marks]:

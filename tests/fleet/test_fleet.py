@@ -15,9 +15,9 @@ from imu_columns import refused
 import allanjax as aj
 
 COLUMNS = {
-    "recording file group axis sensor coefficient unit terms remarks warnings": "str",
-    "value std lower_95 upper_95 upper_limit_95 p_value ratio start_s stop_s": "float64",
-    "detected measured outlying": "bool",
+    "recording file unit_name group axis sensor coefficient unit terms remarks warnings": "str",
+    "value std lower_95 upper_95 upper_limit_95 p_value ratio record_ratio start_s stop_s": "float64",
+    "detected measured outlying odd_record": "bool",
 }
 
 
