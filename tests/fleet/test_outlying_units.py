@@ -217,7 +217,9 @@ def test_an_odd_record_is_left_out_of_its_unit_and_a_unit_is_judged_by_all(fleet
     # Days that scatter say less of the unit than their errors would.
     calm = np.exp(0.002 * rng.standard_normal((36, 3)))
     calm[3:6] *= np.array([1.0, 1.15, 1.3])[:, None]
-    assert {*fleet.judged(("gyro", ARW, calm, 0.002), unit=unit).table.query("outlying")["unit_name"]} == {"1"}
+    assert {*fleet.judged(("gyro", ARW, calm, 0.002), unit=unit).table.query("outlying")["unit_name"]} == {
+        "1"
+    }
     loud = calm * np.exp(0.15 * rng.standard_normal((36, 3)))
     assert not fleet.judged(("gyro", ARW, loud, 0.002), unit=unit).table["outlying"].any()
 
