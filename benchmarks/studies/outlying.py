@@ -98,7 +98,8 @@ def values_of(x: np.ndarray, s: np.ndarray, limit: Any = -np.inf) -> list[Values
     """Values on each axis; below its limit a coefficient is not detected."""
     value, low, high, limit = np.exp([x, x - 1.96 * s, x + 1.96 * s, limit * np.ones_like(x)])
     seen = value > limit
-    return [log_values(value[:, k], low[:, k], high[:, k], limit[:, k], seen[:, k]) for k in range(3)]
+    one = np.zeros(len(x), int)
+    return [log_values(value[:, k], low[:, k], high[:, k], limit[:, k], seen[:, k], one) for k in range(3)]
 
 
 def fleet_of(
