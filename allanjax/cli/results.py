@@ -37,7 +37,9 @@ def export(
 ) -> None:
     """Write noise parameters for an estimator, autopilot or simulator.
 
-    They are those of a result, a data sheet or another target's file.
+    They are those of a result, a data sheet or another target's file. A value
+    outside the range that the target documents is commented out, with a warning
+    (exit code 1).
 
     For example:
       allanjax export --list
@@ -92,8 +94,10 @@ def export(
     else:
         out.write_text(made.text, encoding="ascii")
         print(f"wrote {out}")
-    for words in made.left_out:
+    for words in (*made.left_out, *made.refused):
         print(f"warning: {words}", file=sys.stderr)
+    if made.refused:
+        sys.exit(1)
 
 
 def _text(path: Path) -> str:

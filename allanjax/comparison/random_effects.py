@@ -265,6 +265,18 @@ class Laws:
         return int(np.argmin(chances)), min(len(chances) * min(chances), 1.0)
 
 
+class Pooled(Laws):
+    """Values of several units, each scattering about a mean of its own: Q and degrees of freedom are sums."""
+
+    def __init__(self, units: Sequence[Laws]) -> None:
+        self.units, self.dof, self.normal = units, sum(of.dof for of in units), True
+
+    def fitted(self, variance: Any, x: _Sets | None = None) -> Weighted:
+        """Q and its slope at a scatter of these variances; there is no common mean."""
+        each = [of.fitted(variance) for of in self.units]
+        return Weighted(np.nan, np.nan, sum(of.q for of in each), sum(of.slope for of in each))
+
+
 def random_effects(
     values: ArrayLike,
     stds: ArrayLike | None = None,

@@ -208,6 +208,12 @@ def load(path: str | os.PathLike[str], terms: Sequence[type[NoiseTerm]] = ()) ->
         raise AllanjaxError(f"{path}: not a fit written by allanjax, or damaged: {error!r}") from error
 
 
+def fits_in(path: str | os.PathLike[str]) -> list[Fit]:
+    """The fits in a file: one, or one per sensor; AllanjaxError as for `load`."""
+    fits = load(path)
+    return [*fits.values()] if isinstance(fits, dict) else [fits]
+
+
 def load_one(path: str | os.PathLike[str]) -> Fit:
     """The fit in a file; AllanjaxError if there is none, or more than one."""
     fits = load(path)

@@ -21,24 +21,28 @@ from allanjax.base.equality import ByValue
 from allanjax.base.errors import AllanjaxError, MixedRatesError
 from allanjax.base.late import presented
 from allanjax.base.tables import Column, Tabled
-from allanjax.estimate.as_json import to_dict
+from allanjax.comparison.specification import SpecCheck, SpecLike, read_sheet, read_spec
+from allanjax.estimate.as_json import fits_in, to_dict
 from allanjax.estimate.fit import Objective
 from allanjax.fleet.files import (
-    Groups,
+    Names,
     earlier,
-    group_names,
     key_of,
     matching_files,
+    names_by,
     recording_names,
     store,
     stored,
 )
+from allanjax.fleet.limits import checked, lines_of_limits, rows_of_limits, table_of_limits, verdict_of
 from allanjax.fleet.options import FitOptions
 from allanjax.fleet.stream import AllanAccumulator, accumulate
 from allanjax.fleet.table import (
+    ROWS,
     judged,
     left_out,
     lines_of,
+    notes_on_units,
     rows_of,
     table_of,
     table_schema,
@@ -79,6 +83,7 @@ class FleetResult(ByValue, Tabled):
         files: the recordings; `resumed` of them have results from an earlier run.
         notes: remarks on the table: recordings of an earlier run that are left out; recordings with warnings;
             two groups that the units fall into, or groups that are too small to judge.
+        checks: of each recording with a result, the check of its limits, if a specification was given.
     """
 
     table: pd.DataFrame
@@ -86,11 +91,12 @@ class FleetResult(ByValue, Tabled):
     files: tuple[Path, ...]
     resumed: int
     notes: tuple[str, ...] = ()
+    checks: tuple[SpecCheck, ...] = ()
 
     @property
     def outlying(self) -> pd.DataFrame:
-        """The rows of outlying values, which differ from those of the other units of the group."""
-        return self.table[self.table["outlying"]]
+        """The rows of outlying units, and of records that differ from the others of their unit."""
+        return self.table[self.table["outlying"] | self.table["odd_record"]]
 
     def to_dataframe(self) -> pd.DataFrame:
         """Table of the coefficients, `table` itself."""
@@ -99,6 +105,11 @@ class FleetResult(ByValue, Tabled):
     @presented
     def plot(self, path: str | os.PathLike[str] | None = None) -> Figure:
         """Draw the distribution of each coefficient over the fleet; see `plot_fleet`."""
+        raise NotImplementedError
+
+    @presented
+    def to_junit(self) -> str:
+        """The checks of limits as JUnit XML: a test suite per recording, a case per axis and limit."""
         raise NotImplementedError
 
     @property
@@ -111,13 +122,18 @@ class FleetResult(ByValue, Tabled):
         )
 
     def _title(self) -> str:
-        return self.summary
+        return "\n".join([self.summary, *([verdict_of(self.checks)] if self.checks else [])])
 
     def _tables(self) -> list[list[Column]]:
-        return tables(self.table)
+        return [*tables(self.table), *([table_of_limits(self.checks)] if self.checks else [])]
 
     def _notes(self) -> list[str]:
-        return [*lines_of(self.table), *self.notes]
+        return self.lines(ROWS)
+
+    def lines(self, most: int) -> list[str]:
+        """Outlying units and remarks, limits that are not met, and notes: of the first two so many lines."""
+        of_limits = lines_of_limits(self.checks, most)
+        return [*lines_of(self.table, most), *of_limits, *self.notes, *notes_on_units(self.table)]
 
 
 def characterize_fleet(
@@ -130,7 +146,9 @@ def characterize_fleet(
     as_is: bool = False,
     vibrating: bool = False,
     plain: bool = False,
-    group: Groups | None = None,
+    group: Names | None = None,
+    unit: Names | None = None,
+    spec: SpecLike | None = None,
     workers: int | None = None,
     scheduler: str | None = None,
     piece: int = 20_000_000,
@@ -162,8 +180,11 @@ def characterize_fleet(
         out: folder for the results.
         model, objective, regressors, as_is, vibrating, plain: as for `fit`; long recordings always plain.
         group: units to be compared: a regular expression, e.g. `logs/(\\w+)/`, a CSV file with the columns
-            file and group, a mapping, or a function of the path; see `fleet.files.group_names`. These groups
+            file and group, a mapping, or a function of the path; see `fleet.files.names_by`. These groups
             are not divided.
+        unit: which unit each recording is of, likewise, e.g. `(U\\d+)_`; by default each is of another one.
+        spec: limits that each recording is checked against, see `check_spec`; writes `fleet_spec.csv` (one
+            row per recording, axis and limit) and `fleet_spec.xml` (JUnit XML).
         workers: processes of a local cluster that exists during this call; by default one per core.
         scheduler: address of a cluster to use instead, e.g. `tcp://host:8786`; its workers need allanjax.
         piece: number of samples beyond which a recording is divided.
@@ -173,11 +194,11 @@ def characterize_fleet(
 
     Returns:
         The table and the errors. Units that differ from the others of their group are marked as outlying
-        (see `fleet.comparison`). Without `group`, units that clearly fall into two groups are compared
-        within these.
+        (see `fleet.comparison`), by their records together, and records that differ from the others of their
+        unit as odd. Without `group`, units that clearly fall into two groups are compared within these.
 
     Raises:
-        AllanjaxError: a pattern matches no file; a recording has no group; Dask is not installed; the
+        AllanjaxError: a pattern matches no file; a recording has no group or unit; Dask is not installed; the
             scheduler does not answer; `workers` below one or with `scheduler`; a `piece` below 10⁵ samples.
     """
     if piece < _SHORTEST_PIECE:
@@ -189,12 +210,18 @@ def characterize_fleet(
             "workers= (--workers) is for a local cluster, but the cluster at scheduler= (--scheduler) has "
             "its own workers; leave out one of the two"
         )
+    sheet = None if spec is None else read_sheet(spec)
+    if spec is not None:
+        # A wrong file ends the call before recordings are read.
+        read_spec(spec)
     out = Path(out)
     paths = matching_files(files, out)
     model = None if model is None else as_model(model)
     options = FitOptions(ReadOptions(**reading), model, objective, tuple(regressors), as_is, vibrating, plain)
     recordings = dict(zip(recording_names(paths), paths, strict=True))
-    done = _Done(recordings, group_names(group, recordings))
+    units = {name: name for name in recordings} if unit is None else names_by(unit, recordings, "unit")
+    groups = dict.fromkeys(recordings, "") if group is None else names_by(group, recordings, "group")
+    done = _Done(recordings, units, groups)
     folder = out / _RECORDINGS
     folder.mkdir(parents=True, exist_ok=True)
     keys = {name: key_of(path, options) for name, path in recordings.items()}
@@ -204,14 +231,19 @@ def characterize_fleet(
     report = progress or (lambda done, failed, total: None)
     report(*done.counts, len(paths))
     todo = [name for name in recordings if name not in resumed]
-    if todo:
-        with _connected(scheduler, workers, len(todo)) as client:
+    if todo or sheet is not None:
+        with _connected(scheduler, workers, len(todo) or len(resumed)) as client:
             calls = {name: _call_for(client, recordings[name].absolute(), options, piece) for name in todo}
             for name, outcome in _outcomes(client, calls):
                 if not isinstance(outcome, Exception):
                     store(folder, name, keys[name], outcome)
                 done.take(name, outcome)
                 report(*done.counts, len(paths))
+            if sheet is not None:
+                fits = {name: fits_in(folder / f"{name}.json") for name in recordings if name in done.rows}
+                checks = {name: (checked, (of, name, sheet)) for name, of in fits.items()}
+                for name, outcome in _outcomes(client, checks):
+                    done.take_check(name, outcome)
     return _written(done, len(resumed), (left_out(others, folder),) if others else (), out, figure_format)
 
 
@@ -220,18 +252,27 @@ class _Done:
     """Progress of a fleet by the recordings' names: rows of the table, and errors."""
 
     recordings: Mapping[str, Path]
+    units: Mapping[str, str]
     groups: Mapping[str, str]
     rows: dict[str, list[dict[str, Any]]] = field(default_factory=dict)
     errors: dict[str, list[str]] = field(default_factory=dict)
+    checks: dict[str, SpecCheck] = field(default_factory=dict)
 
     def take(self, name: str, outcome: Sequence[Mapping[str, Any]] | Exception) -> None:
         """Add the fits of a recording, or the error that prevented them."""
         if isinstance(outcome, Exception):
             self.errors[name] = [_reason(self.recordings[name], outcome)]
         else:
-            file, group = str(self.recordings[name]), self.groups[name]
-            self.rows[name] = [row for fit in outcome for row in rows_of(fit, name, file, group)]
+            about = str(self.recordings[name]), self.units[name], self.groups[name]
+            self.rows[name] = [row for fit in outcome for row in rows_of(fit, name, *about)]
             self.errors[name] = [text for fit in outcome for text in _axes_without_result(fit)]
+
+    def take_check(self, name: str, outcome: SpecCheck | Exception) -> None:
+        """Add the check of a recording's limits, or the error that prevented it."""
+        if isinstance(outcome, Exception):
+            self.errors[name].append(f"limits: {_reason(self.recordings[name], outcome)}")
+        else:
+            self.checks[name] = outcome
 
     @property
     def counts(self) -> tuple[int, int]:
@@ -331,7 +372,8 @@ def _written(done: _Done, resumed: int, notes: tuple[str, ...], out: Path, figur
         for name, path in done.recordings.items()
         for message in done.errors.get(name, ())
     )
-    result = FleetResult(table, errors, tuple(done.recordings.values()), resumed, (*notes, *more))
+    checks = tuple(done.checks[name] for name in done.recordings if name in done.checks)
+    result = FleetResult(table, errors, tuple(done.recordings.values()), resumed, (*notes, *more), checks)
     columns = pyarrow.Table.from_pandas(table, table_schema(), preserve_index=False)
     pyarrow.parquet.write_table(columns, out / "fleet.parquet")
     with (out / "errors.csv").open("w", newline="", encoding="utf-8") as stream:
@@ -339,9 +381,15 @@ def _written(done: _Done, resumed: int, notes: tuple[str, ...], out: Path, figur
         writer.writeheader()
         writer.writerows(result.errors)
     failed = [f"{error['file']}: {error['message']}" for error in errors]
-    lines = [*lines_of(table, len(table)), *result.notes, *failed]
+    lines = [*result.lines(sys.maxsize), *failed]
     (out / "notes.txt").write_text("".join(f"{line}\n" for line in lines), encoding="utf-8")
     result.plot(out / f"fleet.{figure_format}")
+    if checks:
+        import pandas as pd
+
+        limits = pd.DataFrame(rows_of_limits(checks, done.units))
+        limits.to_csv(out / "fleet_spec.csv", index=False)
+        (out / "fleet_spec.xml").write_text(result.to_junit(), encoding="utf-8")
     return result
 
 
