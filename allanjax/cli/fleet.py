@@ -29,6 +29,7 @@ def fleet(
     workers: Annotated[int | None, Parameter(validator=Number(gte=1))] = None,
     piece: int = 20_000_000,
     scheduler: str | None = None,
+    json: bool = False,
 ) -> None:
     r"""Estimate the noise coefficients of many static recordings on a Dask cluster.
 
@@ -74,6 +75,8 @@ def fleet(
         Samples per piece: longer recordings are read and processed in pieces.
     scheduler
         Address of a running Dask scheduler to use, e.g. tcp://cluster:8786.
+    json
+        Print JSON: {schema_version, files, resumed, table, limits, errors, notes}.
     """
     prepare(out)
     with stage("loading allanjax"):
@@ -96,7 +99,7 @@ def fleet(
     paths = [out / name for name in (*written, *(("fleet_spec.csv", "fleet_spec.xml") if spec else ()))]
     if html:
         paths += fleet_page(result, out)
-    print_result(result, as_json=False, written=paths)
+    print_result(result, json, paths)
     for error in result.errors:
         print_error(f"{error['file']}: {error['message']}")
     exit_if_failed(result.errors, len(result.files))

@@ -15,9 +15,10 @@ from pathlib import Path
 from typing import Any
 
 from allanjax.base.errors import AllanjaxError
+from allanjax.base.wording import harmless
 from allanjax.fleet.options import FitOptions
 from allanjax.inspection.facts import listed
-from allanjax.record.io.formats import is_bag, name_of
+from allanjax.record.io.formats import is_bag, name_of, storable
 
 Names = str | os.PathLike[str] | Mapping[str, str] | Callable[[Path], str]
 """Pattern, CSV file, mapping or function that gives each recording its group or unit; see `names_by`."""
@@ -43,7 +44,7 @@ def matching_files(
             matches = [
                 path
                 for path in names
-                if (path.is_file() or is_bag(path)) and out.resolve() not in path.resolve().parents
+                if (path.is_file() or is_bag(path)) and _real(out) not in _real(path).parents
             ]
             # The files of a bag are not recordings of their own beside it.
             bags = {path for path in matches if path.is_dir()}
@@ -53,7 +54,7 @@ def matching_files(
                 f"no file matches {text!r}; check the pattern and the folder in which it starts"
             )
         for path in matches:
-            found.setdefault(path.resolve(), path)
+            found.setdefault(_real(path), path)
     if not found:
         raise AllanjaxError("no recordings given; pass files or patterns such as 'logs/*.parquet'")
     return tuple(found.values())
@@ -75,14 +76,14 @@ def recording_names(paths: Sequence[Path]) -> list[str]:
         (*path.absolute().parts[1:-1], stem if shared[place] == 1 else path.name)
         for path, stem, place in zip(paths, stems, places, strict=True)
     ]
-    names = [tail[-1] for tail in tails]
+    names = [storable(tail[-1]) for tail in tails]
     for depth in range(2, max(map(len, tails)) + 1):
         count = Counter(name.casefold() for name in names)
         if len(count) == len(names):
             break
         for k, tail in enumerate(tails):
             if count[names[k].casefold()] > 1:
-                names[k] = "_".join(tail[-depth:])
+                names[k] = storable("_".join(tail[-depth:]))
     return names
 
 
@@ -136,7 +137,7 @@ def _matched(pattern: str, recordings: Mapping[str, Path], option: str) -> dict[
         ) from error
     groups = {}
     for name, path in recordings.items():
-        texts = (path.as_posix(), name, path.resolve().as_posix())
+        texts = (path.as_posix(), name, _real(path).as_posix())
         found = next((match for text in texts if (match := expression.search(text))), None)
         if found is not None:
             groups[name] = " ".join(part for part in found.groups() if part) or found.group()
@@ -170,10 +171,10 @@ def _looked_up(
     for name, path in recordings.items():
         if shared[path.name] == 1:
             names[path.name] = name
-        names |= {name: name, str(path.resolve()): name}
+        names |= {name: name, str(_real(path)): name}
     groups: dict[str, str] = {}
     for text, group in pairs:
-        texts = (str(text), str(Path(text).resolve()), str((folder / text).resolve()))
+        texts = (str(text), str(_real(Path(text))), str(_real(folder / text)))
         found = next((names[key] for key in texts if key in names), None)
         if found is None:
             continue
@@ -184,17 +185,28 @@ def _looked_up(
     return groups
 
 
-def key_of(path: Path, options: FitOptions) -> Key | None:
+def _real(path: Path) -> Path:
+    """The path without symbolic links, as far as they lead somewhere."""
+    return Path(os.path.realpath(path))
+
+
+def address(path: Path) -> str:
+    """The whole path as text that can be written, whatever bytes it has."""
+    return harmless(str(_real(path)))
+
+
+def key_of(path: Path, options: FitOptions, piece: int) -> Key | None:
     """Key of a result: all that it depends on; None if there is no such file."""
     try:
         status = [part.stat() for part in (path.iterdir() if is_bag(path) else (path,))]
     except OSError:
         return None
     return {
-        "path": str(path.resolve()),
+        "path": address(path),
         "size": sum(part.st_size for part in status),
         "modified_ns": max(part.st_mtime_ns for part in status),
         "options": options.to_dict(),
+        "piece": piece,
         "allanjax_version": version("allanjax"),
     }
 
@@ -207,7 +219,7 @@ def earlier(
     Names are unique within one run only: stored fits are renamed to their new names, and those of other
     recordings make way for them.
     """
-    paths = {name: str(path.resolve()) for name, path in recordings.items()}
+    paths = {name: address(path) for name, path in recordings.items()}
     found = {path.stem: document["key"] for path in folder.glob("*.json") if (document := _document(path))}
     names = {}
     for name, key in found.items():
@@ -243,7 +255,7 @@ def _document(path: Path) -> dict[str, Any] | None:
         document = json.loads(path.read_text(encoding="utf-8"))
         has_axes = all(fit["axes"] for fit in _fits(document))
         return document if isinstance(document["key"]["path"], str) and has_axes else None
-    except (OSError, ValueError, TypeError, KeyError):
+    except (OSError, ValueError, TypeError, KeyError, RecursionError):
         return None
 
 

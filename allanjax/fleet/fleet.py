@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import csv
 import functools
+import json
 import logging
 import os
 import signal
 import sys
+import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import CancelledError
 from contextlib import contextmanager
@@ -18,9 +20,10 @@ from typing import TYPE_CHECKING, Any
 
 from allanjax.base.cache import enable_compilation_cache
 from allanjax.base.equality import ByValue
-from allanjax.base.errors import AllanjaxError, MixedRatesError
+from allanjax.base.errors import AllanjaxError, AllanjaxWarning, MixedRatesError
 from allanjax.base.late import presented
 from allanjax.base.tables import Column, Tabled
+from allanjax.base.wording import harmless
 from allanjax.comparison.specification import SpecCheck, SpecLike, read_sheet, read_spec
 from allanjax.estimate.as_json import fits_in, to_dict
 from allanjax.estimate.fit import Objective
@@ -65,6 +68,9 @@ Progress = Callable[[int, int, int], None]
 Call = tuple[Callable[..., Any], Sequence[Any]]
 """A function that the workers can import, and its positional arguments; futures among them are waited for."""
 
+SCHEMA_VERSION = 1
+"""Version of the JSON, see `FleetResult.to_dict`."""
+
 # Time in s for a scheduler to answer.
 _CONNECT_SECONDS = 10
 _RECORDINGS = "recordings"
@@ -101,6 +107,18 @@ class FleetResult(ByValue, Tabled):
     def to_dataframe(self) -> pd.DataFrame:
         """Table of the coefficients, `table` itself."""
         return self.table
+
+    def to_dict(self) -> dict[str, Any]:
+        """The result in types of JSON: table, limits, errors and notes; null where a cell is empty."""
+        return {
+            "schema_version": SCHEMA_VERSION,
+            "files": [harmless(str(path)) for path in self.files],
+            "resumed": self.resumed,
+            "table": json.loads(self.table.to_json(orient="records", double_precision=15)),
+            "limits": [check.to_dict() for check in self.checks],
+            "errors": [dict(error) for error in self.errors],
+            "notes": self.lines(sys.maxsize),
+        }
 
     @presented
     def plot(self, path: str | os.PathLike[str] | None = None) -> Figure:
@@ -224,16 +242,19 @@ def characterize_fleet(
     done = _Done(recordings, units, groups)
     folder = out / _RECORDINGS
     folder.mkdir(parents=True, exist_ok=True)
-    keys = {name: key_of(path, options) for name, path in recordings.items()}
-    resumed, others = earlier(folder, recordings, keys)
-    for name in resumed:
-        done.take(name, stored(folder, name))
+    keys = {name: key_of(path, options, piece) for name, path in recordings.items()}
+    known, others = earlier(folder, recordings, keys)
+    resumed = [name for name in known if done.takes_stored(name, folder)]
     report = progress or (lambda done, failed, total: None)
     report(*done.counts, len(paths))
     todo = [name for name in recordings if name not in resumed]
     if todo or sheet is not None:
-        with _connected(scheduler, workers, len(todo) or len(resumed)) as client:
-            calls = {name: _call_for(client, recordings[name].absolute(), options, piece) for name in todo}
+        parts = {name: _pieces(recordings[name].absolute(), options, piece) for name in todo}
+        tasks = sum(max(len(pieces), 1) for pieces in parts.values()) or len(resumed)
+        with _connected(scheduler, workers, tasks) as client:
+            calls = {
+                name: _call_for(client, recordings[name].absolute(), options, parts[name]) for name in todo
+            }
             for name, outcome in _outcomes(client, calls):
                 if not isinstance(outcome, Exception):
                     store(folder, name, keys[name], outcome)
@@ -262,10 +283,19 @@ class _Done:
         """Add the fits of a recording, or the error that prevented them."""
         if isinstance(outcome, Exception):
             self.errors[name] = [_reason(self.recordings[name], outcome)]
-        else:
-            about = str(self.recordings[name]), self.units[name], self.groups[name]
-            self.rows[name] = [row for fit in outcome for row in rows_of(fit, name, *about)]
-            self.errors[name] = [text for fit in outcome for text in _axes_without_result(fit)]
+            return
+        about = harmless(str(self.recordings[name])), self.units[name], self.groups[name]
+        rows = [row for fit in outcome for row in rows_of(fit, name, *about)]
+        errors = [text for fit in outcome for text in _axes_without_result(fit)]
+        self.rows[name], self.errors[name] = rows, errors
+
+    def takes_stored(self, name: str, folder: Path) -> bool:
+        """Add the stored fits of a recording; false if they are not whole, as when someone changed them."""
+        try:
+            self.take(name, stored(folder, name))
+        except (LookupError, TypeError, ValueError, AttributeError):
+            return False
+        return True
 
     def take_check(self, name: str, outcome: SpecCheck | Exception) -> None:
         """Add the check of a recording's limits, or the error that prevented it."""
@@ -289,9 +319,10 @@ def _characterize(path: Path, options: FitOptions) -> list[dict[str, Any]]:
         return [to_dict(options.fit(read_recording(path, reading))) for reading in readings]
 
 
-def _call_for(client: Client, path: Path, options: FitOptions, piece: int) -> Call:
+def _call_for(
+    client: Client, path: Path, options: FitOptions, parts: Sequence[tuple[int, ReadOptions]]
+) -> Call:
     """Task for a recording: one function, or the one that puts the pieces of a long recording together."""
-    parts = _pieces(path, options, piece)
     if not parts:
         return _characterize, (path, options)
     pieces = [_submitted(client, (_accumulate, (path, reading, first))) for first, reading in parts]
@@ -356,7 +387,7 @@ def _reason(path: Path, error: Exception) -> str:
     if isinstance(error, CancelledError):
         return "the scheduler was lost; restart it and run again: finished results are kept"
     # Messages of a reader or a fit begin with the path that the worker was given.
-    text = str(error).removeprefix(f"{path.absolute()}: ")
+    text = str(error).removeprefix(f"{harmless(str(path.absolute()))}: ")
     return text if isinstance(error, AllanjaxError | OSError) else f"{type(error).__name__}: {text}"
 
 
@@ -368,7 +399,7 @@ def _written(done: _Done, resumed: int, notes: tuple[str, ...], out: Path, figur
     rows = [row for name in done.recordings for row in done.rows.get(name, ())]
     table, more = judged(table_of(rows))
     errors = tuple(
-        {"file": str(path), "message": message}
+        {"file": harmless(str(path)), "message": message}
         for name, path in done.recordings.items()
         for message in done.errors.get(name, ())
     )
@@ -379,7 +410,7 @@ def _written(done: _Done, resumed: int, notes: tuple[str, ...], out: Path, figur
     with (out / "errors.csv").open("w", newline="", encoding="utf-8") as stream:
         writer = csv.DictWriter(stream, ["file", "message"])
         writer.writeheader()
-        writer.writerows(result.errors)
+        writer.writerows({name: _cell(text) for name, text in error.items()} for error in result.errors)
     failed = [f"{error['file']}: {error['message']}" for error in errors]
     lines = [*result.lines(sys.maxsize), *failed]
     (out / "notes.txt").write_text("".join(f"{line}\n" for line in lines), encoding="utf-8")
@@ -388,9 +419,16 @@ def _written(done: _Done, resumed: int, notes: tuple[str, ...], out: Path, figur
         import pandas as pd
 
         limits = pd.DataFrame(rows_of_limits(checks, done.units))
-        limits.to_csv(out / "fleet_spec.csv", index=False)
+        limits.map(lambda cell: _cell(cell) if isinstance(cell, str) else cell).to_csv(
+            out / "fleet_spec.csv", index=False
+        )
         (out / "fleet_spec.xml").write_text(result.to_junit(), encoding="utf-8")
     return result
+
+
+def _cell(text: str) -> str:
+    """Text of a cell that no spreadsheet takes for a formula."""
+    return f"'{text}" if text[:1] in ("=", "+", "-", "@") else text
 
 
 @contextmanager
@@ -413,6 +451,11 @@ def _connected(scheduler: str | None, workers: int | None, tasks: int) -> Iterat
                 "scheduler= (--scheduler), e.g. tcp://host:8786"
             ) from error
         with client:
+            try:
+                client.wait_for_workers(1, timeout=_CONNECT_SECONDS)
+            except TimeoutError:
+                text = f"the scheduler at {scheduler} has no workers; start one: dask worker {scheduler}"
+                warnings.warn(text, AllanjaxWarning, stacklevel=2)
             yield client
         return
     with _interrupts_blocked():
