@@ -419,9 +419,8 @@ def _written(done: _Done, resumed: int, notes: tuple[str, ...], out: Path, figur
         import pandas as pd
 
         limits = pd.DataFrame(rows_of_limits(checks, done.units))
-        limits.map(lambda cell: _cell(cell) if isinstance(cell, str) else cell).to_csv(
-            out / "fleet_spec.csv", index=False
-        )
+        names = limits[["recording", "unit_name"]].map(_cell)
+        limits.assign(**names).to_csv(out / "fleet_spec.csv", index=False)
         (out / "fleet_spec.xml").write_text(result.to_junit(), encoding="utf-8")
     return result
 

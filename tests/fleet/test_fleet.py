@@ -1,7 +1,9 @@
 """Fleets: many recordings on a Dask cluster, what a later run takes from an earlier one, and their table."""
 
+import io
 import json
 import os
+import re
 import sys
 from pathlib import Path
 from xml.etree import ElementTree
@@ -485,3 +487,41 @@ def test_the_picture_has_a_panel_per_coefficient_and_names_units(fleet, monkeypa
     np.testing.assert_allclose(medians, [np.median(y) for y in expected])
     bare = aj.FleetResult(result.table.drop(columns="outlying"), (), (), 0)
     refused(bare.plot, "outlying", aj.AllanjaxError)
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="names and files of POSIX")
+def test_no_file_ends_a_fleet(cluster, tmp_path):
+    """Names that are no text, too long, or that programs obey; a pipe, a loop of links, damaged results."""
+    folder, out = tmp_path / "logs", tmp_path / "out"
+    folder.mkdir()
+    x = np.random.default_rng(0).standard_normal((2048, 1))
+    content = io.BytesIO()
+    np.save(content, x)
+    names = [b"unit.npy", b"bad\xff.npy", b"\x1b[31mred.npy", b"x" * 240 + b".npy"]
+    for name in names:
+        Path(os.fsdecode(os.path.join(os.fsencode(folder), name))).write_bytes(content.getvalue())
+    (folder / "=broken.npy").write_bytes(b"\x93NUMPY")
+    os.mkfifo(folder / "pipe.npy")
+    os.symlink(folder / "loop.npy", folder / "loop.npy")
+    files = [*folder.iterdir()]
+    options = {"scheduler": cluster, "plain": True, "rate": 100.0, "gyro_unit": "deg/s", "columns": "gyro_x"}
+    first = aj.characterize_fleet(files, out, "N", **options)
+    failed = {error["file"].rpartition("/")[2]: error["message"] for error in first.errors}
+    assert sorted(failed) == ["=broken.npy", "loop.npy", "pipe.npy"]
+    assert (len(first.table), first.resumed) == (len(names), 0)
+    assert not re.search("[\x00-\x1f\udc00-\udfff]", "".join(first.table["recording"]))
+    assert first.table["recording"].str.len().max() < 210
+    written = (out / "errors.csv").read_text()
+    assert not re.search(r"^[=+@-]", written, flags=re.MULTILINE)
+    assert json.loads(json.dumps(first.to_dict()))["table"][0]["coefficient"] == ARW
+    # Someone empties a stored fit, and takes the coefficients out of another one.
+    stored = sorted((out / "recordings").iterdir())
+    stored[0].write_text("[" * 100_000)
+    document = json.loads(stored[1].read_text())
+    del document["fit"]["axes"][0]["coefficients"]
+    stored[1].write_text(json.dumps(document))
+    again = aj.characterize_fleet(files, out, "N", **options)
+    assert again.resumed == len(names) - 2
+    pd.testing.assert_frame_equal(again.table, first.table)
+    # Another size of pieces is another way to a result.
+    assert aj.characterize_fleet(files, out, "N", piece=200_000, **options).resumed == 0
