@@ -300,7 +300,10 @@ def random_effects(
         AllanjaxError: fewer than two values, a value that is not finite, an error that is not positive, or
             another number of errors or names.
     """
-    x = np.atleast_1d(np.asarray(values, float))
+    try:
+        x = np.atleast_1d(np.asarray(values, float))
+    except (TypeError, ValueError) as error:
+        raise AllanjaxError(f"random_effects takes numbers: {error}") from error
     called = tuple(map(str, range(1, x.size + 1) if names is None else names))
     if x.ndim != 1 or len(x) < 2 or not np.isfinite(x).all():
         raise AllanjaxError("random_effects needs at least two finite values in a row")

@@ -11,7 +11,7 @@ from typing import Literal, NamedTuple, get_args
 
 import numpy as np
 
-from allanjax.base.errors import AllanjaxError, FitError
+from allanjax.base.errors import AllanjaxError, FitError, expect
 from allanjax.base.wording import format_interval, significant
 from allanjax.estimate.result import AxisFit, Fit
 from allanjax.noise.datasheet import NOT_GIVEN, REMEDY, DataSheet
@@ -429,6 +429,7 @@ def export(
         AllanjaxError: there is no such target, it does not hold three values, or the rate is not positive.
         FitError: no axis has a result that is a measurement of the sensor.
     """
+    expect(fit, (Fit, DataSheet), "export takes a fit or a data sheet, e.g. allanjax.datasheet('BMI088')")
     text = exported(fit, target, axes=axes, rate=rate, force=force).text
     if path is not None:
         Path(path).write_text(text, encoding="ascii")
