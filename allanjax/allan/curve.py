@@ -20,7 +20,7 @@ from jaxtyping import Float, Int
 
 from allanjax.allan.deviation import AllanDeviation
 from allanjax.allan.estimators import cluster_sizes
-from allanjax.base.errors import AllanjaxError, UnitError
+from allanjax.base.errors import AllanjaxError, UnitError, expect
 from allanjax.base.wording import duration as in_words
 from allanjax.base.wording import percent, plain
 from allanjax.record.columns import recognise, split_unit
@@ -138,6 +138,7 @@ def read_curve(
             do not fit the rate or the length. The message gives the file, the column and the remedy.
         UnitError: a unit is unknown.
     """
+    expect(path, (str, os.PathLike), "read_curve takes the path of a file")
     source = Source(str(path))
     every = _columns(Path(path), source, columns)
     times = [c for c in every if c.role == "time"]

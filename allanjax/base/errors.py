@@ -9,6 +9,13 @@ class AllanjaxWarning(UserWarning):
     """Base class of the warnings that allanjax itself, and no library, issues."""
 
 
+def expect(value: object, kinds: type | tuple[type, ...], wanted: str) -> None:
+    """Raise AllanjaxError unless a value is of these kinds; `wanted` tells what takes what, in words."""
+    if not isinstance(value, kinds):
+        shown = repr(value) if isinstance(value, str | int | float | None) else f"a {type(value).__name__}"
+        raise AllanjaxError(f"{wanted}, not {shown}")
+
+
 class UnitError(AllanjaxError):
     """A unit is unknown or has the wrong dimension."""
 

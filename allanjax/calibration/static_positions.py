@@ -8,7 +8,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from allanjax.base.earth import EARTH_RATE, GRAVITY_ANOMALY, normal_gravity
-from allanjax.base.errors import AllanjaxError, RecordingError
+from allanjax.base.errors import AllanjaxError, RecordingError, expect
 from allanjax.base.wording import duration, significant
 from allanjax.calibration.result import (
     USEFUL,
@@ -91,6 +91,7 @@ def calibrate(
         AllanjaxError: an unknown orientation; neither latitude nor gravity; starts that overlap; a model
             with a parameter without a value, or with a step or a warm-up, which are not noise.
     """
+    expect(positions, (list, tuple, Mapping), "calibrate takes a list or a dictionary of recordings")
     if isinstance(positions, Mapping):
         orientations = list(positions) if orientations is None else orientations
         positions = list(positions.values())

@@ -148,7 +148,7 @@ def inputs(arguments: Sequence[str], out: Path | None) -> Iterator[tuple[Input, 
                 # Reading it reports that it is missing, and the other files are still processed.
                 paths = (Path(text),)
             for path in paths:
-                files.setdefault(path.resolve(), (path, str(path)))
+                files.setdefault(Path(os.path.realpath(path)), (path, str(path)))
         given = list(files.values())
         names = result_names([path for path, _ in given])
         yield tuple(Input(*file, name) for file, name in zip(given, names, strict=True))

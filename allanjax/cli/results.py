@@ -42,7 +42,9 @@ def export(
 ) -> None:
     """Write noise parameters for an estimator, autopilot or simulator.
 
-    They are those of a result, a data sheet or another target's file.
+    They are those of a result, a data sheet or another target's file. A value
+    outside the range that the target documents is commented out, with a warning
+    (exit code 1).
 
     For example:
       allanjax export --list
@@ -105,11 +107,14 @@ def export(
     elif not json:
         print(made.text, end="")
     print_written(written, json)
-    for words in made.left_out:
+    warnings = [*made.left_out, *made.refused]
+    for words in warnings:
         print(f"warning: {words}", file=sys.stderr)
     if json:
-        known = {"target": to, "text": made.text, "warnings": made.left_out}
+        known = {"target": to, "text": made.text, "warnings": warnings}
         print_json({"schema_version": SCHEMA_VERSION, **known, "written": [str(path) for path in written]})
+    if made.refused:
+        sys.exit(1)
 
 
 def _text(path: Path) -> str:

@@ -24,7 +24,7 @@ import numpy as np
 from jaxtyping import Float
 
 from allanjax.allan.deviation import AllanDeviation
-from allanjax.base.errors import AllanjaxError, FitError
+from allanjax.base.errors import AllanjaxError, FitError, expect
 from allanjax.base.wording import numbered
 from allanjax.comparison.random_effects import Laws, RandomEffects, random_effects
 from allanjax.comparison.repeatability import AxisJoint, JointCoefficient, JointFit
@@ -77,6 +77,7 @@ def joint_fit(
         FitError: fewer than two recordings; no axis that two of them have measured; without a model, a fit
             that did not choose its terms; a line, a resonance or a transient.
     """
+    expect(recordings, (list, tuple), "joint_fit takes a list of recordings or fits")
     fits = [_fit(each, model, options) for each in recordings]
     if len(fits) < 2:
         raise FitError(f"joint_fit compares at least two recordings, not {len(fits)}")

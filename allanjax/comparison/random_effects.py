@@ -265,6 +265,18 @@ class Laws:
         return int(np.argmin(chances)), min(len(chances) * min(chances), 1.0)
 
 
+class Pooled(Laws):
+    """Values of several units, each scattering about a mean of its own: Q and degrees of freedom are sums."""
+
+    def __init__(self, units: Sequence[Laws]) -> None:
+        self.units, self.dof, self.normal = units, sum(of.dof for of in units), True
+
+    def fitted(self, variance: Any, x: _Sets | None = None) -> Weighted:
+        """Q and its slope at a scatter of these variances; there is no common mean."""
+        each = [of.fitted(variance) for of in self.units]
+        return Weighted(np.nan, np.nan, sum(of.q for of in each), sum(of.slope for of in each))
+
+
 def random_effects(
     values: ArrayLike,
     stds: ArrayLike | None = None,
@@ -288,7 +300,10 @@ def random_effects(
         AllanjaxError: fewer than two values, a value that is not finite, an error that is not positive, or
             another number of errors or names.
     """
-    x = np.atleast_1d(np.asarray(values, float))
+    try:
+        x = np.atleast_1d(np.asarray(values, float))
+    except (TypeError, ValueError) as error:
+        raise AllanjaxError(f"random_effects takes numbers: {error}") from error
     called = tuple(map(str, range(1, x.size + 1) if names is None else names))
     if x.ndim != 1 or len(x) < 2 or not np.isfinite(x).all():
         raise AllanjaxError("random_effects needs at least two finite values in a row")

@@ -32,6 +32,7 @@ SCHEMA_VERSION = 1
 Verdict = Literal["pass", "fail", "undecided", "typical"]
 #: Probability from which a limit is met, and up to which it is not.
 MET, MISSED = 0.95, 0.05
+NO_AXIS = "the record has no such axis"
 # Keys of a section that answer what a figure leaves open, and figures that are no limits.
 _ANSWERS = ("meaning", "sided", "bandwidth", "bandwidth_is", "reading")
 _NO_LIMITS = ("lsb", "rate", "conditions")
@@ -66,7 +67,7 @@ def _exponents() -> dict[str, float]:
 
 def read_spec(sheet: SpecLike) -> tuple[str, list[Limit]]:
     """Name and limits of a sheet, see `check_spec`; AllanjaxError or UnitError if it cannot be read."""
-    where, document = ("specification", sheet) if isinstance(sheet, Mapping) else (str(sheet), _read(sheet))
+    where, document = "specification" if isinstance(sheet, Mapping) else str(sheet), read_sheet(sheet)
     limits: list[Limit] = []
     for section, given in document.items():
         sensor = str(section).partition("_")[0]
@@ -84,8 +85,10 @@ def read_spec(sheet: SpecLike) -> tuple[str, list[Limit]]:
     return str(document.get("name", "specification")), limits
 
 
-def _read(sheet: str | os.PathLike[str]) -> Mapping[str, Any]:
-    """Contents of a YAML file."""
+def read_sheet(sheet: SpecLike) -> Mapping[str, Any]:
+    """Contents of a YAML file, or of what a dictionary has in place of it."""
+    if isinstance(sheet, Mapping):
+        return sheet
     import yaml
 
     class Loader(yaml.SafeLoader):
@@ -315,7 +318,7 @@ def check_spec(fit: Fit, sheet: SpecLike) -> SpecCheck:
                 results.append(_checked(fit, axis.name, limit))
     there = {name for axis in axes for name in (axis.name, axis.sensor)}
     for limit in (limit for limit in limits if limit.section not in there):
-        results.append(LimitCheck(limit.section, limit, reason="the record has no such axis"))
+        results.append(LimitCheck(limit.section, limit, reason=NO_AXIS))
     return SpecCheck(fit.name, title, tuple(results))
 
 
@@ -345,12 +348,19 @@ def _checked(fit: Fit, name: str, limit: Limit) -> LimitCheck:
         reason = "the Allan deviation still falls at the end: record longer"
     elif found.verdict == "undecided":
         seconds = _length(fit, of, limit, c)
-        reason = "record longer; how much is unknown for this model"
-        if seconds == math.inf:
-            reason = "not even a month would decide if it gave the same value"
-        elif seconds is not None:
-            reason = f"a record of {duration(seconds)} would decide if it gave the same value"
+        reason = would_decide(seconds)
     return dataclasses.replace(found, seconds=seconds, reason=reason)
+
+
+def would_decide(seconds: float | None) -> str:
+    """How long a record would decide, in words; None if that is unknown."""
+    if seconds is None:
+        return "record longer; how much is unknown for this model"
+    if seconds == math.inf:
+        return "not even a month would decide if it gave the same value"
+    # Of some minutes no one needs the tenths.
+    text = f"{math.ceil(seconds / 60.0)} min" if 120.0 < seconds < 7200.0 else duration(seconds)
+    return f"a record of {text} would decide if it gave the same value"
 
 
 def _length(fit: Fit, of: AxisFit, limit: Limit, c: Estimate) -> float | None:

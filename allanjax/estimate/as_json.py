@@ -14,7 +14,7 @@ from typing import Any, TypeAlias, TypeVar
 import numpy as np
 
 from allanjax.allan.deviation import AllanDeviation
-from allanjax.base.errors import AllanjaxError
+from allanjax.base.errors import AllanjaxError, expect
 from allanjax.base.wording import finite_or_none
 from allanjax.estimate.misfit import Misfit
 from allanjax.estimate.result import AxisFit, Fit, extended_model, fitted_model
@@ -196,6 +196,7 @@ def load(path: str | os.PathLike[str], terms: Sequence[type[NoiseTerm]] = ()) ->
         AllanjaxError: the file does not exist, holds no fit, is damaged or of another version, or has a term
             that is neither built in nor among `terms`.
     """
+    expect(path, (str, os.PathLike), "load takes the path of a JSON file")
     document = document_in(path, "a NAME.json of allanjax characterize")
     classes = term_classes() | {term.name(): term for term in terms}
     try:
@@ -206,6 +207,12 @@ def load(path: str | os.PathLike[str], terms: Sequence[type[NoiseTerm]] = ()) ->
         raise AllanjaxError(f"{path}: {error}") from error
     except (KeyError, TypeError, ValueError, IndexError, AttributeError) as error:
         raise AllanjaxError(f"{path}: not a fit written by allanjax, or damaged: {error!r}") from error
+
+
+def fits_in(path: str | os.PathLike[str]) -> list[Fit]:
+    """The fits in a file: one, or one per sensor; AllanjaxError as for `load`."""
+    fits = load(path)
+    return [*fits.values()] if isinstance(fits, dict) else [fits]
 
 
 def load_one(path: str | os.PathLike[str]) -> Fit:

@@ -31,7 +31,7 @@ import numpy as np
 from jaxtyping import Float
 
 from allanjax.base.equality import ByValue
-from allanjax.base.errors import AllanjaxError, FitError
+from allanjax.base.errors import AllanjaxError, FitError, expect
 from allanjax.base.tables import PerAxis
 from allanjax.base.wording import duration as length
 from allanjax.base.wording import percent, significant
@@ -361,6 +361,7 @@ def horizon(
         FitError: a requested axis, or every axis, is not a measurement of the sensor.
         AllanjaxError: a horizon, a process or a probability out of range; a term that has no state space.
     """
+    expect(fit, (Fit, DataSheet), "horizon takes a fit or a data sheet, e.g. allanjax.datasheet('BMI088')")
     if process not in get_args(Process):
         raise AllanjaxError(f"process= (--process) must be walk or markov, not {process!r}")
     if isinstance(fit, DataSheet):

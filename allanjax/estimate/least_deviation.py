@@ -17,17 +17,21 @@ _DRAWS, _TIMES, _FAR = 2000, 100, 1e6
 def least_deviation(fit: Fit, of: AxisFit) -> tuple[Estimate, Estimate]:
     """Least Allan deviation within the record, with the draws of the likely models.
 
-    Where the model fits, they are within what the measured curve allows. If the stated curve is least at the
-    end of the record, it is an upper limit only, and the second estimate is the least of the models
-    extrapolated, unless that is zero.
+    Its upper end is no lower than with terms that are not detected anywhere below their limits. Where the
+    model fits, they are within what the measured curve allows. If the stated curve is least at the end of the
+    record, it is an upper limit only, and the second estimate is the least of the models extrapolated, unless
+    that is zero.
     """
     time, name, unit = _times(fit), of.axis.name, default_coefficient_unit(of.axis.sensor, 0.0)
-    drawn, stated = fit.drawn_deviations(name, time, _DRAWS), fit.model_deviation(name, time)
+    stated = fit.model_deviation(name, time)
+    drawn = np.stack([fit.drawn_deviations(name, time, _DRAWS, below) for below in (False, True)])
 
     def estimate(to: int, detected: bool) -> Estimate:
-        draws = drawn[:, :to].min(axis=1)
-        levels = [0.025, 0.16, 0.5, 0.84, 0.975, 0.95]
-        low, low_68, value, high_68, high, most = np.quantile(draws, levels).tolist()
+        draws = drawn[..., :to].min(axis=-1)
+        # Terms that are not detected may raise the least, and need not.
+        low, low_68 = np.quantile(draws, [0.025, 0.16], axis=-1).min(axis=-1).tolist()
+        high_68, high, most = np.quantile(draws, [0.84, 0.975, 0.95], axis=-1).max(axis=-1).tolist()
+        value = float(np.median(draws))
         found = Estimate(
             axis=of.axis,
             label=LEAST,

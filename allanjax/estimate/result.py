@@ -545,10 +545,18 @@ class Fit(ByValue, PerAxis[AxisFit]):
         return density
 
     def drawn_deviations(
-        self, axis: str, cluster_time: Float[np.ndarray, " t"], draws: int
+        self, axis: str, cluster_time: Float[np.ndarray, " t"], draws: int, below_limits: bool = False
     ) -> Float[np.ndarray, "draws t"]:
-        """Allan deviations [rad/s or m/s²] of likely models at cluster times [s]."""
-        likely = side_by_side(self.likely_models(axis, draws, np.random.default_rng(0)))
+        """Allan deviations [rad/s or m/s²] of likely models at cluster times [s].
+
+        With `below_limits` they are of the fit's terms, with all that are not detected anywhere below their
+        limits: where sets of terms are undecided, the probability of each depends on what is usual.
+        """
+        sets = self.likely_models(axis, draws, np.random.default_rng(0))
+        if below_limits:
+            own = self.axes.index(axis)
+            sets = likely_models(self[axis], None, self.curve, own, draws, np.random.default_rng(0))
+        likely = side_by_side(sets)
         units = [term.sampled(self.curve.rate).allan_variance(cluster_time) for term in likely.terms]
         return self._within(axis, cluster_time, np.sqrt(likely.power @ np.array(units)))
 

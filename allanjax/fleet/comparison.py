@@ -6,6 +6,10 @@ z = (x − m) / √(τ² + s² + s_m²), with the error s_m of the median. τ² 
 quarters of the units, whatever the outlying ones are; their number makes z a Student variate. A
 sensor's axes are tested together, by their mean, and each by itself. All units and coefficients of a
 fleet share the probability of a false mark, by Holm's method.
+
+Several records of a unit are compared with one another in the same way, as values of many small parts, each
+about a median of its own; so are the units of several groups that are too small by themselves. What is
+outlying among its unit's records is left out of the unit's value.
 """
 
 from __future__ import annotations
@@ -15,7 +19,7 @@ from dataclasses import dataclass
 from typing import NamedTuple, TypeAlias
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 from scipy.special import gammainc, gammaincinv, stdtr
 
 from allanjax.base.normal import TWO_SIDED_95
@@ -30,8 +34,9 @@ FEWEST_UNITS = 4
 # Share of the units, those nearest to the median, that tell the scatter: a quarter may be outlying,
 # and two of six.
 _INNER = 0.75
-# Degrees of freedom of the scatter for each of these units, if they are many; few have one less than
-# their number. Measured on tails of 10⁻² to 10⁻⁴ of 4 to 100 normal values.
+# Degrees of freedom of the scatter for each of these units, if they are many; of few, their median takes
+# one, and those that are farther off than the inner ones part of another. Measured on tails of 10⁻² to
+# 2·10⁻⁵ of 4 to 100 normal values, in one part or in 2 to 24 of 2 to 5.
 _FREEDOM = 0.8
 # Least scatter [ln] where most units have limits, which do not tell it: a judgement.
 _UNSEEN = 0.5
@@ -46,38 +51,50 @@ _FEWEST_OF_GROUP = 6
 # 4 in 10,000 have it, and of larger ones fewer.
 _GAP = 5.0
 
-#: A number of each unit, a flag of each, and a flag of each on each axis.
+#: A number of each unit, a flag of each, the part it belongs to, and a flag of each on each axis.
 Numbers: TypeAlias = Float[np.ndarray, " units"]
 Flags: TypeAlias = Bool[np.ndarray, " units"]
+Parts: TypeAlias = Int[np.ndarray, " units"]
 Marks: TypeAlias = Bool[np.ndarray, "units axes"]
 
 
 @dataclass(frozen=True, eq=False)
 class Values:
-    """Logarithms of one coefficient of many units, on one axis or as means over several.
+    """Logarithms of one coefficient of many units or records, on one axis or as means over several.
 
     Attributes:
         x: ln of the estimates, and of upper limits below their median; NaN for what is not compared.
         below, above: standard deviations of x, from the interval's lower and upper end; 0 for limits.
         known: whether x is an estimate.
+        part: number of the part that each belongs to, if not all are one.
     """
 
     x: Numbers
     below: Numbers
     above: Numbers
     known: Flags
+    part: Parts
+
+    @property
+    def places(self) -> list[Int[np.ndarray, " members"]]:
+        """Places of the values of each part; of several parts, those of one value are not compared."""
+        has_value = np.isfinite(self.x)
+        found = [np.flatnonzero(has_value & (self.part == part)) for part in np.unique(self.part)]
+        return [own for own in found if len(own) > (len(found) > 1)]
 
     @property
     def distance(self) -> Numbers:
-        """Distance of x from the median of the units; NaN for what is not compared."""
-        compared = self.x[np.isfinite(self.x)]
-        return self.x - np.median(compared) if len(compared) else self.x
+        """Distance of x from the median of its part; NaN for what is not compared."""
+        distance = np.full(len(self.x), np.nan)
+        for own in self.places:
+            distance[own] = self.x[own] - np.median(self.x[own])
+        return distance
 
 
 def log_values(
-    value: Numbers, lower: Numbers, upper: Numbers, upper_limit: Numbers, detected: Flags
+    value: Numbers, lower: Numbers, upper: Numbers, upper_limit: Numbers, detected: Flags, part: Parts
 ) -> Values:
-    """Logarithms of estimates with 95 % intervals, and of 95 % limits of what was not detected.
+    """Logarithms of estimates with 95 % intervals, and of 95 % limits of what was not detected; by part.
 
     A unit with neither (NaN, or an interval without width, as of a value that was held) is not
     compared, nor is one whose limit is above the median of the estimates.
@@ -89,15 +106,16 @@ def log_values(
     x = np.log(np.where(known, value, np.where(low, upper_limit, np.nan)))
     below = np.where(known, x - np.log(np.where(known, lower, 1.0)), 0.0)
     above = np.where(known, np.log(np.where(known, upper, 1.0)) - x, 0.0)
-    return Values(x, below / TWO_SIDED_95, above / TWO_SIDED_95, known)
+    return Values(x, below / TWO_SIDED_95, above / TWO_SIDED_95, known, part)
 
 
-def outlying(families: Sequence[Sequence[Values]]) -> list[Marks]:
+def outlying(families: Sequence[Sequence[Values]], alarms: float = FALSE_ALARMS) -> list[Marks]:
     """Mark the units of a fleet that differ from the others of their group, on the axes where they do.
 
     Args:
         families: of each coefficient of a sensor in a group, the values on its axes, with the same
             units on each.
+        alarms: probability that any unit is marked in a fleet of equal units.
 
     Returns:
         Of each family, whether each unit is marked on each axis; none is among fewer than four units.
@@ -110,7 +128,7 @@ def outlying(families: Sequence[Sequence[Values]]) -> list[Marks]:
     corrected = iter(holm(tested))
     marks = []
     for p in each:
-        is_odd = [c is not None and c < FALSE_ALARMS for _, c in zip(p, corrected, strict=False)]
+        is_odd = [c is not None and c < alarms for _, c in zip(p, corrected, strict=False)]
         worst = p == np.fmin.reduce(p, axis=1)[:, None]
         marks.append(np.array(is_odd)[:, None] & ((p < _ALSO) | worst))
     return marks
@@ -133,7 +151,7 @@ def mean_of(axes: Sequence[Values]) -> Values:
     errors = [[axis.below, axis.above] for axis in axes]
     below, above = np.sqrt(np.sum(np.square(errors), axis=0)) / len(axes)
     distance = np.mean([axis.distance for axis in axes], axis=0)
-    return Values(distance, below, above, np.all([axis.known for axis in axes], axis=0))
+    return Values(distance, below, above, np.all([axis.known for axis in axes], axis=0), axes[0].part)
 
 
 def p_values(values: Values) -> Numbers:
@@ -142,24 +160,36 @@ def p_values(values: Values) -> Numbers:
     Limits count among the others, as if the coefficients were at these, which is cautious for high
     values; the scatter is that of the estimates. Where most units have limits, it is at least 0.5 [ln].
     """
-    is_compared, count = np.isfinite(values.x), int(np.isfinite(values.x).sum())
-    if count < FEWEST_UNITS or not values.known.any():
+    distance, places = values.distance, values.places
+    is_compared = np.isfinite(distance)
+    known, free = values.known & is_compared, is_compared.copy()
+    # Of several parts, each has a value that is its median, or as near to it as another; of one, the median
+    # is lost instead.
+    several = len(places) > 1
+    for own in places if several else ():
+        free[own[np.argmin(abs(distance[own]))]] = False
+    count, lost = int(free.sum()), 0 if several else 1
+    if count - lost < FEWEST_UNITS - 1 or not (known & free).any():
         return np.full(len(values.x), np.nan)
-    distance = values.distance
     # The end of the interval that faces the others.
     error = np.where(distance > 0.0, values.below, values.above) ** 2
-    usual = float(np.median(error[values.known]))
-    most_known = 2 * values.known.sum() >= count
-    telling = distance[values.known if most_known else is_compared]
+    usual = float(np.median(error[known]))
+    most_known = 2 * known.sum() >= is_compared.sum()
+    telling = distance[free & (known if most_known else is_compared)]
     # Of scatter and usual errors together.
-    spread = max(_variance(telling, count), usual + (_ROUNDING if most_known else _UNSEEN**2))
-    of_median = 0.5 * np.pi * spread / count
-    own = spread - usual + error
+    spread = max(_variance(telling, count, lost), usual + (_ROUNDING if most_known else _UNSEEN**2))
+    own_spread = spread - usual + error
     inner = min(_inner(count), len(telling))
+    few = inner + inner / (count - lost) - 2.0
     # Errors are known: the larger a unit's own, the more degrees of freedom.
-    degrees = min(inner - 1.0, _FREEDOM * inner) * (own / spread) ** 2
-    tail = 2.0 * stdtr(degrees, -abs(distance) / np.sqrt(own + of_median))
-    return np.where(values.known, tail, np.nan)
+    degrees = (min(few, _FREEDOM * inner) if lost else _FREEDOM * inner) * (own_spread / spread) ** 2
+    of_median = np.zeros(len(distance))
+    for own in places:
+        of_median[own] = 0.5 * np.pi * np.median(own_spread[own]) / len(own)
+    tail = np.full(len(distance), np.nan)
+    away = -abs(distance[known]) / np.sqrt((own_spread + of_median)[known])
+    tail[known] = 2.0 * stdtr(degrees[known], away)
+    return tail
 
 
 def _inner(count: int) -> int:
@@ -167,14 +197,15 @@ def _inner(count: int) -> int:
     return min(round(_INNER * count), count - 1)
 
 
-def _variance(distance: Numbers, count: int) -> float:
+def _variance(distance: Numbers, count: int, lost: int = 1) -> float:
     """Variance of so many normal values by the inner ones of the distances from their median.
 
-    It is that of all but one: the value whose distance is of interest is not among the inner ones.
-    Values whose distance is not given are farther off than the others.
+    It is that of all but one: the value whose distance is of interest is not among the inner ones. Of the
+    distances from several medians, none is lost for these. Values whose distance is not given are farther
+    off than the others.
     """
     nearest = np.sort(distance**2)[: _inner(count)]
-    share = len(nearest) / (count - 1)
+    share = len(nearest) / (count - lost)
     # Variance of the share of a standard normal law that is nearest to zero.
     part = gammainc(1.5, gammaincinv(0.5, share)) / share
     return float(nearest.mean() / part)

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import csv
 import functools
+import json
 import logging
 import os
 import signal
 import sys
+import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import CancelledError
 from contextlib import contextmanager
@@ -18,27 +20,32 @@ from typing import TYPE_CHECKING, Any
 
 from allanjax.base.cache import enable_compilation_cache
 from allanjax.base.equality import ByValue
-from allanjax.base.errors import AllanjaxError, MixedRatesError
+from allanjax.base.errors import AllanjaxError, AllanjaxWarning, MixedRatesError
 from allanjax.base.late import presented
 from allanjax.base.tables import Column, Tabled
-from allanjax.estimate.as_json import to_dict
+from allanjax.base.wording import harmless
+from allanjax.comparison.specification import SpecCheck, SpecLike, read_sheet, read_spec
+from allanjax.estimate.as_json import fits_in, to_dict
 from allanjax.estimate.fit import Objective
 from allanjax.fleet.files import (
-    Groups,
+    Names,
     earlier,
-    group_names,
     key_of,
     matching_files,
+    names_by,
     recording_names,
     store,
     stored,
 )
+from allanjax.fleet.limits import checked, lines_of_limits, rows_of_limits, table_of_limits, verdict_of
 from allanjax.fleet.options import FitOptions
 from allanjax.fleet.stream import AllanAccumulator, accumulate
 from allanjax.fleet.table import (
+    ROWS,
     judged,
     left_out,
     lines_of,
+    notes_on_units,
     rows_of,
     table_of,
     table_schema,
@@ -61,6 +68,9 @@ Progress = Callable[[int, int, int], None]
 Call = tuple[Callable[..., Any], Sequence[Any]]
 """A function that the workers can import, and its positional arguments; futures among them are waited for."""
 
+SCHEMA_VERSION = 1
+"""Version of the JSON, see `FleetResult.to_dict`."""
+
 # Time in s for a scheduler to answer.
 _CONNECT_SECONDS = 10
 _RECORDINGS = "recordings"
@@ -79,6 +89,7 @@ class FleetResult(ByValue, Tabled):
         files: the recordings; `resumed` of them have results from an earlier run.
         notes: remarks on the table: recordings of an earlier run that are left out; recordings with warnings;
             two groups that the units fall into, or groups that are too small to judge.
+        checks: of each recording with a result, the check of its limits, if a specification was given.
     """
 
     table: pd.DataFrame
@@ -86,19 +97,37 @@ class FleetResult(ByValue, Tabled):
     files: tuple[Path, ...]
     resumed: int
     notes: tuple[str, ...] = ()
+    checks: tuple[SpecCheck, ...] = ()
 
     @property
     def outlying(self) -> pd.DataFrame:
-        """The rows of outlying values, which differ from those of the other units of the group."""
-        return self.table[self.table["outlying"]]
+        """The rows of outlying units, and of records that differ from the others of their unit."""
+        return self.table[self.table["outlying"] | self.table["odd_record"]]
 
     def to_dataframe(self) -> pd.DataFrame:
         """Table of the coefficients, `table` itself."""
         return self.table
 
+    def to_dict(self) -> dict[str, Any]:
+        """The result in types of JSON: table, limits, errors and notes; null where a cell is empty."""
+        return {
+            "schema_version": SCHEMA_VERSION,
+            "files": [harmless(str(path)) for path in self.files],
+            "resumed": self.resumed,
+            "table": json.loads(self.table.to_json(orient="records", double_precision=15)),
+            "limits": [check.to_dict() for check in self.checks],
+            "errors": [dict(error) for error in self.errors],
+            "notes": self.lines(sys.maxsize),
+        }
+
     @presented
     def plot(self, path: str | os.PathLike[str] | None = None) -> Figure:
         """Draw the distribution of each coefficient over the fleet; see `plot_fleet`."""
+        raise NotImplementedError
+
+    @presented
+    def to_junit(self) -> str:
+        """The checks of limits as JUnit XML: a test suite per recording, a case per axis and limit."""
         raise NotImplementedError
 
     @property
@@ -111,13 +140,18 @@ class FleetResult(ByValue, Tabled):
         )
 
     def _title(self) -> str:
-        return self.summary
+        return "\n".join([self.summary, *([verdict_of(self.checks)] if self.checks else [])])
 
     def _tables(self) -> list[list[Column]]:
-        return tables(self.table)
+        return [*tables(self.table), *([table_of_limits(self.checks)] if self.checks else [])]
 
     def _notes(self) -> list[str]:
-        return [*lines_of(self.table), *self.notes]
+        return self.lines(ROWS)
+
+    def lines(self, most: int) -> list[str]:
+        """Outlying units and remarks, limits that are not met, and notes: of the first two so many lines."""
+        of_limits = lines_of_limits(self.checks, most)
+        return [*lines_of(self.table, most), *of_limits, *self.notes, *notes_on_units(self.table)]
 
 
 def characterize_fleet(
@@ -130,7 +164,9 @@ def characterize_fleet(
     as_is: bool = False,
     vibrating: bool = False,
     plain: bool = False,
-    group: Groups | None = None,
+    group: Names | None = None,
+    unit: Names | None = None,
+    spec: SpecLike | None = None,
     workers: int | None = None,
     scheduler: str | None = None,
     piece: int = 20_000_000,
@@ -162,8 +198,11 @@ def characterize_fleet(
         out: folder for the results.
         model, objective, regressors, as_is, vibrating, plain: as for `fit`; long recordings always plain.
         group: units to be compared: a regular expression, e.g. `logs/(\\w+)/`, a CSV file with the columns
-            file and group, a mapping, or a function of the path; see `fleet.files.group_names`. These groups
+            file and group, a mapping, or a function of the path; see `fleet.files.names_by`. These groups
             are not divided.
+        unit: which unit each recording is of, likewise, e.g. `(U\\d+)_`; by default each is of another one.
+        spec: limits that each recording is checked against, see `check_spec`; writes `fleet_spec.csv` (one
+            row per recording, axis and limit) and `fleet_spec.xml` (JUnit XML).
         workers: processes of a local cluster that exists during this call; by default one per core.
         scheduler: address of a cluster to use instead, e.g. `tcp://host:8786`; its workers need allanjax.
         piece: number of samples beyond which a recording is divided.
@@ -173,11 +212,11 @@ def characterize_fleet(
 
     Returns:
         The table and the errors. Units that differ from the others of their group are marked as outlying
-        (see `fleet.comparison`). Without `group`, units that clearly fall into two groups are compared
-        within these.
+        (see `fleet.comparison`), by their records together, and records that differ from the others of their
+        unit as odd. Without `group`, units that clearly fall into two groups are compared within these.
 
     Raises:
-        AllanjaxError: a pattern matches no file; a recording has no group; Dask is not installed; the
+        AllanjaxError: a pattern matches no file; a recording has no group or unit; Dask is not installed; the
             scheduler does not answer; `workers` below one or with `scheduler`; a `piece` below 10⁵ samples.
     """
     if piece < _SHORTEST_PIECE:
@@ -189,29 +228,43 @@ def characterize_fleet(
             "workers= (--workers) is for a local cluster, but the cluster at scheduler= (--scheduler) has "
             "its own workers; leave out one of the two"
         )
+    sheet = None if spec is None else read_sheet(spec)
+    if spec is not None:
+        # A wrong file ends the call before recordings are read.
+        read_spec(spec)
     out = Path(out)
     paths = matching_files(files, out)
     model = None if model is None else as_model(model)
     options = FitOptions(ReadOptions(**reading), model, objective, tuple(regressors), as_is, vibrating, plain)
     recordings = dict(zip(recording_names(paths), paths, strict=True))
-    done = _Done(recordings, group_names(group, recordings))
+    units = {name: name for name in recordings} if unit is None else names_by(unit, recordings, "unit")
+    groups = dict.fromkeys(recordings, "") if group is None else names_by(group, recordings, "group")
+    done = _Done(recordings, units, groups)
     folder = out / _RECORDINGS
     folder.mkdir(parents=True, exist_ok=True)
-    keys = {name: key_of(path, options) for name, path in recordings.items()}
-    resumed, others = earlier(folder, recordings, keys)
-    for name in resumed:
-        done.take(name, stored(folder, name))
+    keys = {name: key_of(path, options, piece) for name, path in recordings.items()}
+    known, others = earlier(folder, recordings, keys)
+    resumed = [name for name in known if done.takes_stored(name, folder)]
     report = progress or (lambda done, failed, total: None)
     report(*done.counts, len(paths))
     todo = [name for name in recordings if name not in resumed]
-    if todo:
-        with _connected(scheduler, workers, len(todo)) as client:
-            calls = {name: _call_for(client, recordings[name].absolute(), options, piece) for name in todo}
+    if todo or sheet is not None:
+        parts = {name: _pieces(recordings[name].absolute(), options, piece) for name in todo}
+        tasks = sum(max(len(pieces), 1) for pieces in parts.values()) or len(resumed)
+        with _connected(scheduler, workers, tasks) as client:
+            calls = {
+                name: _call_for(client, recordings[name].absolute(), options, parts[name]) for name in todo
+            }
             for name, outcome in _outcomes(client, calls):
                 if not isinstance(outcome, Exception):
                     store(folder, name, keys[name], outcome)
                 done.take(name, outcome)
                 report(*done.counts, len(paths))
+            if sheet is not None:
+                fits = {name: fits_in(folder / f"{name}.json") for name in recordings if name in done.rows}
+                checks = {name: (checked, (of, name, sheet)) for name, of in fits.items()}
+                for name, outcome in _outcomes(client, checks):
+                    done.take_check(name, outcome)
     return _written(done, len(resumed), (left_out(others, folder),) if others else (), out, figure_format)
 
 
@@ -220,18 +273,36 @@ class _Done:
     """Progress of a fleet by the recordings' names: rows of the table, and errors."""
 
     recordings: Mapping[str, Path]
+    units: Mapping[str, str]
     groups: Mapping[str, str]
     rows: dict[str, list[dict[str, Any]]] = field(default_factory=dict)
     errors: dict[str, list[str]] = field(default_factory=dict)
+    checks: dict[str, SpecCheck] = field(default_factory=dict)
 
     def take(self, name: str, outcome: Sequence[Mapping[str, Any]] | Exception) -> None:
         """Add the fits of a recording, or the error that prevented them."""
         if isinstance(outcome, Exception):
             self.errors[name] = [_reason(self.recordings[name], outcome)]
+            return
+        about = harmless(str(self.recordings[name])), self.units[name], self.groups[name]
+        rows = [row for fit in outcome for row in rows_of(fit, name, *about)]
+        errors = [text for fit in outcome for text in _axes_without_result(fit)]
+        self.rows[name], self.errors[name] = rows, errors
+
+    def takes_stored(self, name: str, folder: Path) -> bool:
+        """Add the stored fits of a recording; false if they are not whole, as when someone changed them."""
+        try:
+            self.take(name, stored(folder, name))
+        except (LookupError, TypeError, ValueError, AttributeError):
+            return False
+        return True
+
+    def take_check(self, name: str, outcome: SpecCheck | Exception) -> None:
+        """Add the check of a recording's limits, or the error that prevented it."""
+        if isinstance(outcome, Exception):
+            self.errors[name].append(f"limits: {_reason(self.recordings[name], outcome)}")
         else:
-            file, group = str(self.recordings[name]), self.groups[name]
-            self.rows[name] = [row for fit in outcome for row in rows_of(fit, name, file, group)]
-            self.errors[name] = [text for fit in outcome for text in _axes_without_result(fit)]
+            self.checks[name] = outcome
 
     @property
     def counts(self) -> tuple[int, int]:
@@ -248,9 +319,10 @@ def _characterize(path: Path, options: FitOptions) -> list[dict[str, Any]]:
         return [to_dict(options.fit(read_recording(path, reading))) for reading in readings]
 
 
-def _call_for(client: Client, path: Path, options: FitOptions, piece: int) -> Call:
+def _call_for(
+    client: Client, path: Path, options: FitOptions, parts: Sequence[tuple[int, ReadOptions]]
+) -> Call:
     """Task for a recording: one function, or the one that puts the pieces of a long recording together."""
-    parts = _pieces(path, options, piece)
     if not parts:
         return _characterize, (path, options)
     pieces = [_submitted(client, (_accumulate, (path, reading, first))) for first, reading in parts]
@@ -315,7 +387,7 @@ def _reason(path: Path, error: Exception) -> str:
     if isinstance(error, CancelledError):
         return "the scheduler was lost; restart it and run again: finished results are kept"
     # Messages of a reader or a fit begin with the path that the worker was given.
-    text = str(error).removeprefix(f"{path.absolute()}: ")
+    text = str(error).removeprefix(f"{harmless(str(path.absolute()))}: ")
     return text if isinstance(error, AllanjaxError | OSError) else f"{type(error).__name__}: {text}"
 
 
@@ -327,22 +399,35 @@ def _written(done: _Done, resumed: int, notes: tuple[str, ...], out: Path, figur
     rows = [row for name in done.recordings for row in done.rows.get(name, ())]
     table, more = judged(table_of(rows))
     errors = tuple(
-        {"file": str(path), "message": message}
+        {"file": harmless(str(path)), "message": message}
         for name, path in done.recordings.items()
         for message in done.errors.get(name, ())
     )
-    result = FleetResult(table, errors, tuple(done.recordings.values()), resumed, (*notes, *more))
+    checks = tuple(done.checks[name] for name in done.recordings if name in done.checks)
+    result = FleetResult(table, errors, tuple(done.recordings.values()), resumed, (*notes, *more), checks)
     columns = pyarrow.Table.from_pandas(table, table_schema(), preserve_index=False)
     pyarrow.parquet.write_table(columns, out / "fleet.parquet")
     with (out / "errors.csv").open("w", newline="", encoding="utf-8") as stream:
         writer = csv.DictWriter(stream, ["file", "message"])
         writer.writeheader()
-        writer.writerows(result.errors)
+        writer.writerows({name: _cell(text) for name, text in error.items()} for error in result.errors)
     failed = [f"{error['file']}: {error['message']}" for error in errors]
-    lines = [*lines_of(table, len(table)), *result.notes, *failed]
+    lines = [*result.lines(sys.maxsize), *failed]
     (out / "notes.txt").write_text("".join(f"{line}\n" for line in lines), encoding="utf-8")
     result.plot(out / f"fleet.{figure_format}")
+    if checks:
+        import pandas as pd
+
+        limits = pd.DataFrame(rows_of_limits(checks, done.units))
+        names = limits[["recording", "unit_name"]].map(_cell)
+        limits.assign(**names).to_csv(out / "fleet_spec.csv", index=False)
+        (out / "fleet_spec.xml").write_text(result.to_junit(), encoding="utf-8")
     return result
+
+
+def _cell(text: str) -> str:
+    """Text of a cell that no spreadsheet takes for a formula."""
+    return f"'{text}" if text[:1] in ("=", "+", "-", "@") else text
 
 
 @contextmanager
@@ -365,6 +450,11 @@ def _connected(scheduler: str | None, workers: int | None, tasks: int) -> Iterat
                 "scheduler= (--scheduler), e.g. tcp://host:8786"
             ) from error
         with client:
+            try:
+                client.wait_for_workers(1, timeout=_CONNECT_SECONDS)
+            except TimeoutError:
+                text = f"the scheduler at {scheduler} has no workers; start one: dask worker {scheduler}"
+                warnings.warn(text, AllanjaxWarning, stacklevel=2)
             yield client
         return
     with _interrupts_blocked():

@@ -8,7 +8,7 @@ import json
 import os
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import Any, TypeVar
 from zipfile import BadZipFile
 
 import numpy as np
@@ -17,7 +17,7 @@ from jaxtyping import Float
 from allanjax.allan.deviation import AllanDeviation
 from allanjax.allan.estimators import Pyramid
 from allanjax.base.equality import equal
-from allanjax.base.errors import AllanjaxError, FitError, RecordingError
+from allanjax.base.errors import AllanjaxError, FitError, RecordingError, expect
 from allanjax.estimate.axis_fits import check_count, check_terms, fit_judged, fit_spectra, with_curve
 from allanjax.estimate.deterministic import AxisSpectrum
 from allanjax.estimate.fit import Objective, terms_to_fit, with_doubts, with_what_was_seen
@@ -26,11 +26,9 @@ from allanjax.estimate.selection import Candidates, candidates_for, rank_terms
 from allanjax.inspection import Ends, Inspection, Windows, look
 from allanjax.noise.notation import ModelLike
 from allanjax.record.columns import Axis, DeadAxis, axes_of, recognise, scales_of
+from allanjax.record.io.assembly import ChunkedRecording
 from allanjax.record.validation import Source
 from allanjax.spectrum.cosine import SegmentedLevel, SegmentSpectra
-
-if TYPE_CHECKING:
-    from allanjax.record.io.assembly import ChunkedRecording
 
 # Samples that are processed at once: a call of a compiled program costs as much as many; more need memory.
 _GATHERED = 1 << 17
@@ -373,6 +371,7 @@ def accumulate(
     Raises:
         RecordingError: the file has bad values, gaps or damaged rows; the message gives the place.
     """
+    expect(recording, ChunkedRecording, "accumulate takes what read_chunks returns")
     accumulator = AllanAccumulator(recording.rate, recording.axes, start=start, name=recording.name)
     for samples in recording:
         accumulator.update(samples)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import functools
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -14,7 +14,16 @@ from jaxtyping import Int
 from allanjax.base.tables import Column, Number, column, columns_from, tables_of
 from allanjax.base.wording import format_interval, plain, significant
 from allanjax.estimate.result import MAIN
-from allanjax.fleet.comparison import FEWEST_UNITS, Values, log_values, outlying, two_groups
+from allanjax.fleet.comparison import (
+    FALSE_ALARMS,
+    FEWEST_UNITS,
+    Marks,
+    Values,
+    log_values,
+    outlying,
+    two_groups,
+)
+from allanjax.fleet.units import joined, odd_records, over_others, scatters, united
 from allanjax.inspection.facts import listed, why_no_measurement
 from allanjax.noise.estimate import SYMBOLS, title_of
 from allanjax.record.units import Sensor
@@ -39,8 +48,12 @@ _NAMES = {
 _UNITS = ("Hz", "%", "s")
 # Names that a note lists at most.
 _NAMED = 5
-# Units with remarks that are printed at most, and characters of the names in a cell.
-_ROWS, _SHORT = 40, 28
+#: Units with remarks, or limits that are not met, that are printed at most.
+ROWS = 40
+# Characters of the names in a cell.
+_SHORT = 28
+# Factor up to which the ratios of a sensor's axes are told as one.
+_ALIKE = 1.1
 
 
 @functools.cache
@@ -49,7 +62,7 @@ def table_schema() -> pa.Schema:
     import pyarrow as pa
 
     kinds = [
-        (pa.string(), "recording file group axis sensor coefficient"),
+        (pa.string(), "recording file unit_name group axis sensor coefficient"),
         (pa.float64(), "value std lower_95 upper_95"),
         (pa.string(), "unit"),
         (pa.bool_(), "detected"),
@@ -58,14 +71,18 @@ def table_schema() -> pa.Schema:
         (pa.float64(), "p_value"),
         (pa.string(), "terms"),
         (pa.bool_(), "outlying"),
-        (pa.float64(), "ratio start_s stop_s"),
+        (pa.float64(), "ratio"),
+        (pa.bool_(), "odd_record"),
+        (pa.float64(), "record_ratio start_s stop_s"),
         (pa.string(), "remarks warnings"),
     ]
     return pa.schema({name: kind for kind, names in kinds for name in names.split()})
 
 
-def rows_of(fit: Mapping[str, Any], recording: str, file: str, group: str = "") -> list[dict[str, Any]]:
-    """Rows of one recording, from its fit as `as_json.to_dict` gives it.
+def rows_of(
+    fit: Mapping[str, Any], recording: str, file: str, unit: str = "", group: str = ""
+) -> list[dict[str, Any]]:
+    """Rows of one recording, of a unit and a group, from its fit as `as_json.to_dict` gives it.
 
     Axes without a result have no rows, nor have the filters, resonances and lines for which an axis was
     corrected, which are among its remarks. Outlying units are marked later.
@@ -74,9 +91,12 @@ def rows_of(fit: Mapping[str, Any], recording: str, file: str, group: str = "") 
     of_all = {
         "recording": recording,
         "file": file,
+        "unit_name": unit,
         "group": group,
         "outlying": False,
         "ratio": None,
+        "odd_record": False,
+        "record_ratio": None,
         "start_s": start,
         "stop_s": stop,
         "warnings": "\n".join(fit["warnings"]),
@@ -110,20 +130,28 @@ def table_of(rows: Sequence[Mapping[str, Any]]) -> pd.DataFrame:
 
 
 class Family(NamedTuple):
-    """One coefficient of the units of a group, on all axes of a sensor.
+    """One coefficient of the recordings of a group, on all axes of a sensor.
 
     Attributes:
-        sensor, coefficient: sensor, label of the coefficient.
-        recordings: names of the units.
-        rows: their rows in the table, −1 where there is none.
-        axes: logarithms of the coefficient on each axis.
+        sensor, coefficient, group: sensor, label of the coefficient, group.
+        units: names of the units.
+        rows: rows of the recordings in the table, −1 where there is none.
+        names: names of the axes.
+        axes: logarithms of the coefficient on each axis; the part of a recording is its unit's number.
     """
 
     sensor: Sensor
     coefficient: str
-    recordings: Sequence[str]
-    rows: Int[np.ndarray, "units axes"]
+    group: str
+    units: Sequence[str]
+    rows: Int[np.ndarray, "recordings axes"]
+    names: Sequence[str]
     axes: Sequence[Values]
+
+    def of_units(self, odd: Marks | None = None) -> list[Values]:
+        """Logarithms of the units, without odd recordings."""
+        none = np.zeros(self.rows.shape, bool)
+        return [*map(united, self.axes, (none if odd is None else odd).T)]
 
 
 def families(table: pd.DataFrame) -> Iterator[Family]:
@@ -131,43 +159,77 @@ def families(table: pd.DataFrame) -> Iterator[Family]:
     value, lower, upper, limit = (np.append(table[name].to_numpy(), np.nan) for name in _NUMBERS)
     is_detected = np.append(table["detected"].to_numpy(), False)
     parts: Mapping[Any, Any] = table.groupby(["group", "sensor", "coefficient"], sort=False).indices
-    for (_, sensor, coefficient), places in parts.items():
+    for (group, sensor, coefficient), places in parts.items():
         of = table.iloc[places]
-        units, names = of["recording"].factorize()
+        records, names = of["recording"].factorize()
         columns, axes = of["axis"].factorize()
+        unit, units = of["unit_name"].iloc[np.unique(records, return_index=True)[1]].factorize()
         rows = np.full((len(names), len(axes)), -1)
-        rows[units, columns] = places
-        values = [log_values(value[r], lower[r], upper[r], limit[r], is_detected[r]) for r in rows.T]
-        yield Family(sensor, coefficient, list(names), rows, values)
+        rows[records, columns] = places
+        values = [
+            log_values(value[r], lower[r], upper[r], limit[r], is_detected[r], part=unit) for r in rows.T
+        ]
+        yield Family(sensor, coefficient, group, list(units), rows, list(axes), values)
 
 
 def judged(table: pd.DataFrame) -> tuple[pd.DataFrame, tuple[str, ...]]:
-    """Table with outlying values marked, in two groups if the units fall into these, and notes on it.
+    """Table with outlying units and records marked, in two groups if units fall into these, and notes on it.
 
-    Groups that a user named are not divided. `ratio` is the value over the median of its group.
+    Groups that a user named are not divided. `ratio` is the value over the median of its group's units,
+    `record_ratio` that over the median of the other records of its unit.
     """
     table, notes = _in_groups(table)
     compared = list(families(table))
-    marked = np.zeros(len(table) + 1, bool)
-    ratio = np.full(len(table) + 1, np.nan)
-    for family, is_odd in zip(compared, outlying([of.axes for of in compared]), strict=True):
-        marked[family.rows] = is_odd
-        for rows, axis in zip(family.rows.T, family.axes, strict=True):
-            ratio[rows] = np.where(axis.known, np.exp(axis.distance), np.nan)
-    table = table.assign(outlying=marked[:-1], ratio=ratio[:-1])
+    alarms = FALSE_ALARMS / (1 + any(len(of.units) < len(of.rows) for of in compared))
+    odd = _marked(compared, [of.axes for of in compared], odd_records, alarms)
+    units = [of.of_units(records) for of, records in zip(compared, odd, strict=True)]
+    flags = np.zeros((2, len(table) + 1), bool)
+    ratios = np.full((2, len(table) + 1), np.nan)
+    every = zip(compared, units, odd, _marked(compared, units, outlying, alarms), strict=True)
+    for of, own, records, marks in every:
+        flags[:, of.rows] = marks[of.axes[0].part], records
+        for rows, axis, unit in zip(of.rows.T, of.axes, own, strict=True):
+            x = unit.x[np.isfinite(unit.x)]
+            middle = np.median(x) if len(x) else np.nan
+            ratios[:, rows] = np.where(axis.known, np.exp([axis.x - middle, over_others(axis)]), np.nan)
+    names = ("outlying", "odd_record", "ratio", "record_ratio")
+    table = table.assign(**dict(zip(names, (*flags[:, :-1], *ratios[:, :-1]), strict=True)))
     return table, (*_warned(table), *notes, *_too_few(table))
+
+
+def _marked(
+    compared: Sequence[Family],
+    values: Sequence[Sequence[Values]],
+    test: Callable[[Sequence[Sequence[Values]], float], list[Marks]],
+    alarms: float,
+) -> list[Marks]:
+    """Marks that a test gives the units or recordings of each family.
+
+    Those of groups of three units, too few by themselves, are compared together, each about its own median.
+    """
+    few = FEWEST_UNITS - 1
+    keys = [
+        (of.sensor, of.coefficient, *of.names, "" if len(of.units) == few else of.group) for of in compared
+    ]
+    places = [[k for k, own in enumerate(keys) if own == key] for key in dict.fromkeys(keys)]
+    together = [[*map(joined, zip(*(values[k] for k in of), strict=True))] for of in places]
+    marks: dict[int, Marks] = {}
+    for of, found in zip(places, test(together, alarms), strict=True):
+        ends = np.cumsum([len(values[k][0].x) for k in of])
+        marks |= zip(of, np.split(found, ends[:-1]), strict=True)
+    return [marks[k] for k in range(len(compared))]
 
 
 def _in_groups(table: pd.DataFrame) -> tuple[pd.DataFrame, list[str]]:
     """Table with the two groups that the units fall into, if they do, and a note on these."""
-    count = table["recording"].nunique()
-    whole = [family for family in families(table) if len(family.recordings) == count]
-    splits = [two_groups(family.axes) for family in whole]
+    count = table["unit_name"].nunique()
+    whole = [family for family in families(table) if len(family.units) == count]
+    splits = [two_groups(family.of_units()) for family in whole]
     best = int(np.argmax([0.0, *(split.gap for split in splits)])) - 1
     if (table["group"] != "").any() or best < 0 or splits[best].gap <= 1.0:
         return table, []
     family, split = whole[best], splits[best]
-    group = dict(zip(family.recordings, np.where(split.is_upper, "2", "1").tolist(), strict=True))
+    group = dict(zip(family.units, np.where(split.is_upper, "2", "1").tolist(), strict=True))
     members = {g: [name for name, own in group.items() if own == g] for g in "12"}
     told = (f"{g} ({len(names)} units: {listed(names, _NAMED)})" for g, names in members.items())
     note = (
@@ -175,7 +237,7 @@ def _in_groups(table: pd.DataFrame) -> tuple[pd.DataFrame, list[str]]:
         f"({family.sensor}), apart by a factor of {significant(split.ratio, 2)}: {', '.join(told)}. "
         "Units are compared within these; pass groups of your own with group= (--group)"
     )
-    return table.assign(group=table["recording"].map(group)), [note]
+    return table.assign(group=table["unit_name"].map(group)), [note]
 
 
 def _terms(axis: Mapping[str, Any]) -> list[str]:
@@ -226,8 +288,11 @@ def _warned(table: pd.DataFrame) -> list[str]:
 
 def _too_few(table: pd.DataFrame) -> list[str]:
     """Note on the groups that are too small for outlying units to be found."""
-    counts = table.groupby("group", sort=False)["recording"].nunique()
+    counts = table.groupby("group", sort=False)["unit_name"].nunique()
     small = counts[counts < FEWEST_UNITS]
+    if (small == FEWEST_UNITS - 1).sum() > 1:
+        # These are compared together.
+        small = small[small < FEWEST_UNITS - 1]
     words = [f"{f'group {g}, ' * bool(g)}{n} unit{'s' * (n > 1)}" for g, n in small.items()]
     needed = f"too few to detect outlying units; {FEWEST_UNITS} are needed"
     return [f"{listed(words, _NAMED)}: {needed}"] if words else []
@@ -246,17 +311,19 @@ def left_out(files: Sequence[Path], folder: Path) -> str:
 def tables(table: pd.DataFrame) -> list[list[Column]]:
     """Tables with one row per axis and group: of the median and of the range of each coefficient, by sensor.
 
-    Median, scatter and range are those of estimates with an interval, without outlying units; counts are of
-    axes that are a measurement of the sensor.
+    Median, scatter and range are those of units with an estimate that has an interval, without outlying ones;
+    counts are of recordings whose axis is a measurement of the sensor. Where units have several recordings,
+    there is a table of the scatter within and between units, too.
     """
     printed: list[list[Column]] = []
+    spread = _scatters(table) if _has_several(table) else {}
     for _, of in table.groupby("sensor", sort=False):
         axes = list(of["axis"].unique())
         rows = sorted({*zip(of["axis"], of["group"], strict=True)}, key=lambda r: (axes.index(r[0]), r[1]))
         of_rows = [of[(of["axis"] == axis) & (of["group"] == group)] for axis, group in rows]
         first = columns_from(("axis", "group"), rows)
-        counts = [(_detected(row), _outlying_units(row)) for row in of_rows]
-        medians, ranges = list[Column](), list[Column]()
+        counts = [(_detected(row), _units(row), _outlying_units(row)) for row in of_rows]
+        medians, ranges, scatter = list[Column](), list[Column](), list[Column]()
         labels = sorted({*of["coefficient"]}, key=lambda name: [*SYMBOLS, name].index(name))
         for label in labels:
             unit = of.loc[of["coefficient"] == label, "unit"].iloc[0]
@@ -264,12 +331,43 @@ def tables(table: pd.DataFrame) -> list[list[Column]]:
             usual = [_usual(row[row["coefficient"] == label]) for row in of_rows]
             medians.append(column(name, unit, list(map(_median, usual))))
             ranges.append(column(f"{name} 5…95 %", unit, list(map(_range, usual))))
+            cells = [spread.get((*row, label), ("", "")) for row in rows]
+            scatter += columns_from((f"{name} within units (%)", f"{name} between units (%)"), cells)
         main = sum(label in MAIN for label in labels)
-        last = columns_from(("detected", "outlying"), counts)
+        last = columns_from(("detected", "units", "outlying"), counts)
         printed += tables_of(first, medians[:main], medians[main:], last)
-        if any(any(c.cells) for c in ranges):
-            printed += tables_of(first, ranges[:main], ranges[main:])
+        for own, count in ((ranges, main), (scatter, 2 * main)):
+            if any(any(c.cells) for c in own):
+                printed += tables_of(first, own[:count], own[count:])
     return printed
+
+
+def _has_several(table: pd.DataFrame) -> bool:
+    """Whether a unit has several recordings."""
+    return bool(table["unit_name"].nunique() < table["recording"].nunique())
+
+
+def notes_on_units(table: pd.DataFrame) -> list[str]:
+    """What the table of scatters states, if there is one."""
+    text = "within, between units: scatter of a unit's records, and of the units, beyond what errors explain"
+    return [f"{text} (95 % interval, or 95 % upper limit)"] if _has_several(table) else []
+
+
+def _scatters(table: pd.DataFrame) -> dict[Any, list[str]]:
+    """Scatter of each coefficient within and between units [%], 95 % intervals; by axis, group, label."""
+    odd = np.append((table["outlying"] | table["odd_record"]).to_numpy(), False)
+    found = {}
+    for of in families(table):
+        for name, rows, axis in zip(of.names, of.rows.T, of.axes, strict=True):
+            texts = []
+            for sizes in scatters(axis, odd[rows]):
+                size, low, high, limit = (significant(100.0 * x, 2) for x in sizes)
+                detected = sizes[1] > 0.0
+                # A limit above 100 % tells nothing.
+                known = detected or sizes[3] < 1.0
+                texts.append((f"{size} ({low} … {high})" if detected else f"< {limit}") if known else "")
+            found[name, of.group, of.coefficient] = texts
+    return found
 
 
 def _found(of: pd.DataFrame) -> pd.DataFrame:
@@ -278,9 +376,16 @@ def _found(of: pd.DataFrame) -> pd.DataFrame:
 
 
 def _usual(of: pd.DataFrame) -> pd.DataFrame:
-    """The same without outlying units."""
+    """Mean value and error of each unit, without outlying units and odd recordings."""
     found = _found(of)
-    return found[~found["outlying"]]
+    usual = found[~(found["outlying"] | found["odd_record"])]
+    return usual.groupby("unit_name", sort=False)[["value", "std"]].mean()
+
+
+def _units(of: pd.DataFrame) -> str:
+    """How many units there are, and with how many recordings, if some have several."""
+    counts = of[["unit_name", "recording"]].nunique()
+    return f"{counts.iloc[0]} with {counts.iloc[1]} records" if counts.iloc[0] < counts.iloc[1] else ""
 
 
 def _median(usual: pd.DataFrame) -> Number | None:
@@ -308,10 +413,16 @@ def _detected(of: pd.DataFrame) -> str:
 
 
 def _outlying_units(of: pd.DataFrame) -> str:
-    """Names of the outlying units, or their number."""
-    names = of.loc[of["outlying"], "recording"].unique()
+    """Names of the outlying units and odd recordings, or their number."""
+    names = outlying_names(of)
     text = ", ".join(names)
     return text if len(text) < _SHORT else f"{len(names)} units"
+
+
+def outlying_names(table: pd.DataFrame) -> list[str]:
+    """Names of the outlying units, and of recordings that differ from the others of their unit."""
+    units = table.loc[table["outlying"], "unit_name"]
+    return [*dict.fromkeys([*units, *table.loc[table["odd_record"], "recording"]])]
 
 
 def times(ratio: float) -> str:
@@ -319,17 +430,32 @@ def times(ratio: float) -> str:
     return f"×{significant(ratio)}"
 
 
-def lines_of(table: pd.DataFrame, most: int = _ROWS) -> list[str]:
-    """A line per unit: in what it is outlying, and what was corrected, left out or is wrong on its axes.
+def _places(of: pd.DataFrame, ratio: str, table: pd.DataFrame) -> Iterator[tuple[str, float]]:
+    """Axes and coefficients that are off, and how many times; the axes of a sensor as one if they agree."""
+    axes: Mapping[Any, int] = dict(table.groupby("sensor")["axis"].nunique())
+    for (sensor, label), part in of.groupby(["sensor", "coefficient"], sort=False):
+        symbol = SYMBOLS.get(str(label), str(label))
+        each = np.exp(np.log(part[ratio]).groupby(part["axis"], sort=False).mean())
+        if 1 < len(each) == axes[sensor] and each.max() < _ALIKE * each.min():
+            yield f"{sensor} {symbol}", float(np.exp(np.log(each).mean()))
+        else:
+            yield from ((f"{axis} {symbol}", size) for axis, size in each.items())
+
+
+def lines_of(table: pd.DataFrame, most: int) -> list[str]:
+    """A line per unit or record: in what it is outlying; what was corrected, left out or is wrong on it.
 
     There are at most so many lines, and one that says how many more there would be.
     """
     lines: dict[str, list[str]] = {}
-    for unit, of in table[table["outlying"]].groupby("recording", sort=False):
-        symbols = [SYMBOLS.get(label, label) for label in of["coefficient"]]
-        places = zip(of["axis"], symbols, of["ratio"], strict=True)
-        words = ", ".join(f"{axis} {symbol} {times(ratio)}" for axis, symbol, ratio in places)
-        lines[str(unit)] = [f"outlying against the median of its group: {words}"]
+    for unit, of in table[table["outlying"]].groupby("unit_name", sort=False):
+        words = (f"{place} {times(ratio)}" for place, ratio in _places(of[~of["odd_record"]], "ratio", table))
+        lines[str(unit)] = [f"outlying against the median of its group: {', '.join(words)}"]
+    for name, of in table[table["odd_record"]].groupby("recording", sort=False):
+        words = (f"{place} {significant(x)} ×" for place, x in _places(of, "record_ratio", table))
+        count = table.loc[table["unit_name"] == of["unit_name"].iloc[0], "recording"].nunique()
+        others = "its other records" if count > 2 else "its other record"
+        lines.setdefault(str(name), []).append(f"{', '.join(words)} {others}")
     for unit, of in table.drop_duplicates(["recording", "axis"]).groupby("recording", sort=False):
         for remarks, part in of[of["remarks"] != ""].groupby("remarks", sort=False):
             axes = "all axes" if len(part) == len(of) > 1 else ", ".join(part["axis"])

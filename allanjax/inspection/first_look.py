@@ -11,6 +11,7 @@ from jaxtyping import Bool
 
 from allanjax.base.earth import STANDARD_GRAVITY as _G
 from allanjax.base.equality import ByValue
+from allanjax.base.errors import expect
 from allanjax.base.threads import for_each
 from allanjax.base.wording import duration, plain, record_size
 from allanjax.inspection.events import TRIFLE, Event, Places, Treatment, quiet_parts
@@ -193,6 +194,7 @@ def inspect(
     Returns:
         The parts to use, and facts. This takes a second or two for 10⁶ samples of six axes.
     """
+    expect(recording, Recording, "inspect takes a recording, as allanjax.read returns")
     # Samples that were filled in are not outliers of the sensor.
     spikes = for_each(lambda pair: _spikes(*pair), zip(recording.values.T, _drawn(recording).T, strict=True))
     return look(

@@ -28,7 +28,7 @@ from pathlib import Path
 from typing import Any
 
 from allanjax.base.equality import ByValue
-from allanjax.base.errors import AllanjaxError, UnitError
+from allanjax.base.errors import AllanjaxError, UnitError, expect
 from allanjax.base.tables import Column, Tabled, columns_from
 from allanjax.base.wording import percent, plain, significant
 from allanjax.noise.estimate import Estimate
@@ -197,6 +197,7 @@ def datasheet(source: str | os.PathLike[str] | Mapping[str, Any]) -> DataSheet:
         AllanjaxError: an unknown name, a file that cannot be read, an unknown key, or an ambiguous figure.
         UnitError: a unit of another dimension.
     """
+    expect(source, (str, os.PathLike, Mapping), "datasheet takes a name, a path or a dictionary")
     where, document = _document(source)
     unknown = [key for key in document if key not in ("name", "source", *SENSORS)]
     present = [sensor for sensor in SENSORS if sensor in document]

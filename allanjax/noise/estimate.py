@@ -185,7 +185,7 @@ class Estimate(ByValue):
         They are those of the logarithm on the side of the limit; of the square if it is not detected.
         """
         if not self.detected:
-            return (limit**2 - self.value**2) / self.power_std
+            return (limit**2 - self.value**2) / max(self.power_std, 1e-12 * limit**2)
         return math.log(limit / self.value) / max(self.log_errors[limit > self.value], 1e-12)
 
     def probability_below(self, limit: float) -> float:

@@ -8,7 +8,7 @@ from collections.abc import Mapping, Sequence
 from rich.console import Console
 from rich.progress import Progress, TaskID
 
-from allanjax.base.errors import AllanjaxError, FitError
+from allanjax.base.errors import AllanjaxError, FitError, expect
 from allanjax.estimate.result import Fit
 from allanjax.posterior.priors import Prior
 from allanjax.posterior.result import Posterior
@@ -67,6 +67,7 @@ def sample(
         AllanjaxError: an unknown axis or label, or an invalid number.
         FitError: the fit of an axis failed, or the posterior has no density anywhere.
     """
+    expect(fit, Fit, "sample takes a fit, as allanjax.fit returns")
     # Imported here because emcee takes long to load.
     from allanjax.posterior.sampling import Options, posterior_of
 

@@ -30,6 +30,7 @@ present(
         "PowerSpectrum.plot": "allanjax.presentation.spectrum_figure.plot_spectrum",
         "SampleRates.plot": "allanjax.presentation.allan_figure.plot_sample_rates",
         "SpecCheck.to_junit": "allanjax.presentation.files.to_junit",
+        "FleetResult.to_junit": "allanjax.presentation.files.fleet_to_junit",
         "StateSpace.to_c_header": "allanjax.presentation.files.to_c_header",
         "StateSpace.to_matlab": "allanjax.presentation.files.to_matlab",
         "StateSpace.to_numpy": "allanjax.presentation.files.to_numpy",

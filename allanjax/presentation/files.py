@@ -14,10 +14,11 @@ from xml.etree import ElementTree
 import numpy as np
 
 from allanjax.base.errors import AllanjaxError
-from allanjax.comparison.specification import SpecCheck
+from allanjax.comparison.specification import LimitCheck, SpecCheck
 from allanjax.estimate.as_json import to_dict
 from allanjax.estimate.check import Check
 from allanjax.estimate.result import Fit
+from allanjax.fleet.fleet import FleetResult
 from allanjax.noise.state_space import StateSpace
 from allanjax.record.units import rate_unit_of
 from allanjax.spectrum.psd import PowerSpectrum
@@ -55,20 +56,20 @@ def with_checks(fit: Fit, check: Check | None, spec: SpecCheck | None = None) ->
 
 def to_junit(spec: SpecCheck) -> str:
     """The checks of limits as JUnit XML."""
-    verdicts = [result.verdict for result in spec.results]
-    counts = {"tests": len(verdicts), "failures": verdicts.count("fail"), "errors": 0}
-    about = {key: str(count) for key, count in (counts | {"skipped": verdicts.count("undecided")}).items()}
-    root = ElementTree.Element("testsuites", about)
-    suite = ElementTree.SubElement(root, "testsuite", {"name": f"{spec.name} against {spec.sheet}", **about})
-    for result in spec.results:
-        name = f"{result.limit.title} ({result.limit.meaning})"
-        case = ElementTree.SubElement(suite, "testcase", {"classname": result.axis, "name": name})
-        value, limit, unit, margin, chance, verdict = result.row()[2:]
-        text = f"estimate {value}, limit {limit} {unit}, margin {margin}, probability to meet it {chance}"
-        if verdict in ("fail", "undecided"):
-            kind = "failure" if verdict == "fail" else "skipped"
-            ElementTree.SubElement(case, kind, {"message": result.reason or text})
-        ElementTree.SubElement(case, "system-out").text = text
+    return _junit([spec], [""])
+
+
+def fleet_to_junit(fleet: FleetResult) -> str:
+    """The checks of a fleet's recordings as JUnit XML, a test suite each."""
+    return _junit(fleet.checks, [f"{check.name}." for check in fleet.checks])
+
+
+def _junit(specs: Sequence[SpecCheck], begins: Sequence[str]) -> str:
+    """JUnit XML of several recordings, and how the names of their axes begin."""
+    root = ElementTree.Element("testsuites", _counts([r for spec in specs for r in spec.results]))
+    for spec, begin in zip(specs, begins, strict=True):
+        named = {"name": f"{spec.name} against {spec.sheet}", **_counts(spec.results)}
+        _add_cases(ElementTree.SubElement(root, "testsuite", named), spec, begin)
     ElementTree.indent(root)
     text = ElementTree.tostring(root, encoding="unicode")
     # Control characters, which a name may have, are not allowed in XML.
@@ -77,6 +78,26 @@ def to_junit(spec: SpecCheck) -> str:
         + re.sub(r"[^\t\n -\ud7ff\ue000-\U0010ffff]", "?", text)
         + "\n"
     )
+
+
+def _counts(results: Sequence[LimitCheck]) -> dict[str, str]:
+    """How many checks there are, and how many of them are not met or undecided."""
+    verdicts = [result.verdict for result in results]
+    counts = {"tests": len(verdicts), "failures": verdicts.count("fail"), "errors": 0}
+    return {key: str(count) for key, count in (counts | {"skipped": verdicts.count("undecided")}).items()}
+
+
+def _add_cases(suite: ElementTree.Element, spec: SpecCheck, begin: str) -> None:
+    """Add a test case for each limit and axis."""
+    for result in spec.results:
+        name = f"{result.limit.title} ({result.limit.meaning})"
+        case = ElementTree.SubElement(suite, "testcase", {"classname": begin + result.axis, "name": name})
+        value, limit, unit, margin, chance, verdict = result.row()[2:]
+        text = f"estimate {value}, limit {limit} {unit}, margin {margin}, probability to meet it {chance}"
+        if verdict in ("fail", "undecided"):
+            kind = "failure" if verdict == "fail" else "skipped"
+            ElementTree.SubElement(case, kind, {"message": result.reason or text})
+        ElementTree.SubElement(case, "system-out").text = text
 
 
 def curve_csv(fit: Fit) -> str:

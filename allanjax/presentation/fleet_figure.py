@@ -17,7 +17,7 @@ from allanjax.base.errors import AllanjaxError
 from allanjax.base.wording import plain
 from allanjax.comparison.repeatability import JointCoefficient, JointFit
 from allanjax.fleet.fleet import FleetResult
-from allanjax.fleet.table import table_schema, times
+from allanjax.fleet.table import outlying_names, table_schema, times
 from allanjax.noise.estimate import Estimate, title_of
 from allanjax.presentation import draw
 from allanjax.presentation.draw import Heading, Sheet
@@ -84,7 +84,9 @@ def plot_fleet(fleet: FleetResult, path: str | os.PathLike[str] | None = None) -
     below = _TICK_LETTER * max(map(len, names.values()), default=0)
     sheet = dataclasses.replace(_SHEET, between=_SHEET.between + below, bottom=_SHEET.bottom + below)
     with draw.style():
-        heading = Heading(f"{table['recording'].nunique()} units", _remarks(table, drawn), _key(table))
+        counts = table[["unit_name", "recording"]].nunique().tolist()
+        size = f"{counts[0]} units" + f", {counts[1]} records" * (counts[0] < counts[1])
+        heading = Heading(size, _remarks(table, drawn), _key(table))
         figure, panels = sheet.draw(heading, [columns] * rows if coefficients else [0], path)
         for coefficient, row in zip(coefficients, panels, strict=False):
             for sensor, panel in zip(sensors, row, strict=True):
@@ -141,10 +143,10 @@ def _group_colours(table: pd.DataFrame) -> list[tuple[str, str | None]]:
 
 
 def _remarks(table: pd.DataFrame, drawn: pd.DataFrame) -> str:
-    """How many units are outlying, and which coefficients have no panel."""
+    """How many units or records are outlying, and which coefficients have no panel."""
     if table.empty:
         return "no results"
-    text = f"{table.loc[table['outlying'], 'recording'].nunique() or 'none'} of them outlying"
+    text = f"{len(outlying_names(table)) or 'none'} of them outlying"
     left = table[table["measured"] & ~table["detected"]]
     kinds = set(zip(drawn["coefficient"], drawn["sensor"], strict=True))
     pairs = dict.fromkeys(zip(left["coefficient"], left["sensor"], strict=True))
@@ -228,14 +230,16 @@ def _draw_axis(
     of = of.assign(x=k + _SPREAD * (2.0 * steps / max(steps[-1], 1) - (steps[-1] > 0)))
     for g in np.unique(number):
         _draw_group(panel, of[number == g], _GROUPS[g % len(_GROUPS)])
-    if of["outlying"].any():
-        _name_units(panel, k, of[of["outlying"]].replace({"recording": names}))
+    odd = of["outlying"] | of["odd_record"]
+    if odd.any():
+        _name_units(panel, k, of[odd].replace({"recording": names}))
     return of
 
 
 def _draw_group(panel: Axes, of: pd.DataFrame, colour: str | None) -> None:
     """Draw the values of a group's units on one axis, and the band of most of them."""
-    x, y, detected, outlying = (of[name].to_numpy() for name in ("x", "height", "detected", "outlying"))
+    x, y, detected = (of[name].to_numpy() for name in ("x", "height", "detected"))
+    outlying = (of["outlying"] | of["odd_record"]).to_numpy()
     measured, remarked = of["measured"].to_numpy(), (of["remarks"] != "").to_numpy()
     usual = detected & ~outlying
     if usual.any():
@@ -271,7 +275,9 @@ def _name_units(panel: Axes, k: int, of: pd.DataFrame) -> None:
     level -= max(level[-1] - 0.96, 0.0)
     # On the side where the others are not, if that is within the panel.
     column = places[:, 0].max() + _BESIDE
-    right = of["x"].mean() <= k and column + _LETTER * max(map(len, names)) < 1.0
+    width = _LETTER * max(map(len, names))
+    beyond = places[:, 0].min() - _BESIDE < width
+    right = (of["x"].mean() <= k or beyond) and column + width < 1.0
     at = column if right else places[:, 0].min() - _BESIDE
     arrow = {"arrowstyle": "-", "color": _OUTLYING, "linewidth": 0.4, "shrinkA": 1, "shrinkB": 2}
     look: dict[str, Any] = {"color": _OUTLYING, "fontsize": 7, "va": "center", "arrowprops": arrow}

@@ -15,7 +15,7 @@ def recording(bias, axes=AXES, n=16_384, name="bench"):
     rng = np.random.default_rng(11)
     columns = []
     for k, axis in enumerate(axes):
-        scale = 1.0 if axis.startswith("gyro") else 10.0
+        scale = 1.0 if axis.startswith("gyro") else 8.0
         white = 1e-4 * scale * (1.0 + 0.2 * k) * math.sqrt(RATE) * rng.normal(size=n)
         columns.append(white + bias(rng, n, scale * (1.0 + 0.3 * k), axis))
     return aj.Recording.from_array(

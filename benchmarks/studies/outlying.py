@@ -16,11 +16,13 @@ tell their scatter less well, and all units and coefficients share one false mar
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
-from allanjax.fleet.comparison import Values, log_values, outlying, two_groups
+from allanjax.fleet.comparison import FALSE_ALARMS, Values, log_values, outlying, two_groups
+from allanjax.fleet.units import odd_records, united
 from benchmarks.common.study import run_tasks, share, table
 
 QUICK: dict[str, Any] = {"fleets": 4, "powers": 2, "units": (12,)}
@@ -84,6 +86,12 @@ def run(
     yield "## Groups that nobody named: two halves apart by a ratio, or one of a sixth of the units"
     yield table(["units", "apart by", "scatter", "halves are groups", "a sixth is a group"], rows)
 
+    tasks = [(seed, *way, powers) for way in ((6, 2), (12, 2), (12, 3), (24, 5))]
+    found = run_tasks(records, tasks)
+    rows = [[n, days, *map(share, x.T)] for (_, n, days, _), x in zip(tasks, found, strict=True)]
+    yield f"## Several records of a unit: any mark; a record {OFF} times off named (scatter 2 %, errors 1 %)"
+    yield table(["units", "records of each", "a record", "a unit", "the odd record"], rows)
+
 
 def drawn(
     rng: np.random.Generator, units: int, width: float, error: float, of_unit: bool, shift: Any = 0.0
@@ -98,7 +106,8 @@ def values_of(x: np.ndarray, s: np.ndarray, limit: Any = -np.inf) -> list[Values
     """Values on each axis; below its limit a coefficient is not detected."""
     value, low, high, limit = np.exp([x, x - 1.96 * s, x + 1.96 * s, limit * np.ones_like(x)])
     seen = value > limit
-    return [log_values(value[:, k], low[:, k], high[:, k], limit[:, k], seen[:, k]) for k in range(3)]
+    one = np.zeros(len(x), int)
+    return [log_values(value[:, k], low[:, k], high[:, k], limit[:, k], seen[:, k], one) for k in range(3)]
 
 
 def fleet_of(
@@ -160,6 +169,27 @@ def other_ways(seed: int, units: int, axes: int, off: float, several: float, fle
     for k in range(fleets):
         marks = [of.any(axis=1) for of in outlying(fleet_of(rng, units, 0.05, 0.03, bool(k % 2), shift))]
         found[k] = marks[0][:odd].mean(), np.any([of[odd:].any() for of in marks])
+    return found
+
+
+def records(seed: int, units: int, days: int, fleets: int) -> np.ndarray:
+    """Whether a record of like ones is marked, a unit is, and a record that is off is [fleets, 3]."""
+    rng, found = np.random.default_rng([seed, units, days]), np.zeros((fleets, 3), bool)
+    unit = np.repeat(np.arange(units), days)
+    for k in range(fleets):
+        between, within, error = np.exp(rng.uniform(np.log([0.03, 0.003, 0.01]), np.log([0.2, 0.1, 0.3])))
+        families = []
+        for _ in range(6):
+            own = between * rng.standard_normal((units, 3))[unit]
+            x, s = drawn(rng, units * days, within, error, bool(k % 2))
+            families.append([replace(axis, part=unit) for axis in values_of(own + x, s)])
+        odd = odd_records(families, FALSE_ALARMS / 2.0)
+        means = [[*map(united, axes, marks.T)] for axes, marks in zip(families, odd, strict=True)]
+        marked = any(marks.any() for marks in outlying(means, FALSE_ALARMS / 2.0))
+        x, s = drawn(rng, units * days, 0.02, 0.01, bool(k % 2))
+        x[1] += np.log(OFF)
+        off = odd_records([[replace(axis, part=unit) for axis in values_of(x, s)]], FALSE_ALARMS / 2.0)
+        found[k] = any(marks.any() for marks in odd), marked, off[0][1].any()
     return found
 
 

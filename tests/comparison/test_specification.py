@@ -211,6 +211,24 @@ def test_probabilities_at_the_truth_are_uniform():
         assert np.mean(p >= 0.95) < 0.13, (figure, np.mean(p >= 0.95))
 
 
+def test_what_does_not_show_may_still_raise_the_least_deviation():
+    """Records of 41 s with N, and B and K that few of them show: limits 10 % below the truth."""
+    rate, n = 100.0, 4096
+    model = aj.AngleRandomWalk(1e-4) + aj.BiasInstability(6e-5) + aj.RateRandomWalk(2e-5)
+    time = np.geomspace(0.01, n / rate / 2.0, 2000)
+    least = 0.9 * np.sqrt(np.asarray(model.sampled(rate).allan_variance(time)).min())
+    limits = {"gyro": {"meaning": "maximum", "reading": "minimum"}}
+    limits["gyro"]["in_run_bias_instability"] = f"{least / DEG * HOUR:.17g} deg/h"
+    verdicts = []
+    for seed in range(5):
+        columns = [aj.simulate(model, n, rate, 50 * seed + k) for k in range(9)]
+        names = [f"gyro_{k}" for k in range(9)]
+        record = aj.Recording.from_array(np.stack(columns, axis=1), rate, names=names, gyro_unit="rad/s")
+        verdicts += [r.verdict for r in aj.check_spec(aj.fit(record, as_is=True), limits).results]
+    # Of 45, 2 are expected at the truth itself, and 5 or more in 7 % of such sets.
+    assert verdicts.count("pass") < 5, verdicts
+
+
 def test_it_is_written_for_people_and_for_continuous_integration(walk):
     limits = sheet("0.2 deg/√h", rate_random_walk="290 deg/h/√h") | {"name": "a <b> & c"}
     odd = dataclasses.replace(aj.check_spec(walk, limits), name="a\x01\udcff")

@@ -1,9 +1,12 @@
 """Fleets: many recordings on a Dask cluster, what a later run takes from an earlier one, and their table."""
 
+import io
 import json
 import os
+import re
 import sys
 from pathlib import Path
+from xml.etree import ElementTree
 
 import numpy as np
 import pandas as pd
@@ -15,9 +18,9 @@ from imu_columns import refused
 import allanjax as aj
 
 COLUMNS = {
-    "recording file group axis sensor coefficient unit terms remarks warnings": "str",
-    "value std lower_95 upper_95 upper_limit_95 p_value ratio start_s stop_s": "float64",
-    "detected measured outlying": "bool",
+    "recording file unit_name group axis sensor coefficient unit terms remarks warnings": "str",
+    "value std lower_95 upper_95 upper_limit_95 p_value ratio record_ratio start_s stop_s": "float64",
+    "detected measured outlying odd_record": "bool",
 }
 
 
@@ -307,7 +310,13 @@ def test_groups(fleet, monkeypatch):
     for group, content in GROUPS:
         table = grouped(group, content)
         assert dict(zip(table["file"], table["group"], strict=True)) == expected, group
+        # Units are named in the same way.
+        if content is None:
+            units = fleet.run([*paths.values()], unit=group).table
+            assert dict(zip(units["file"], units["unit_name"], strict=True)) == expected, group
     assert {*grouped(None, None)["group"]} == {""}
+    one = {"files": [*paths.values()], "unit": "logs/(mems)/"}
+    refused(fleet.run, "unit=|--unit|fog/a.csv", aj.AllanjaxError, **one)
     for group, words, content in NO_GROUPS:
         refused(lambda a=group, b=content: grouped(a, b), words, aj.AllanjaxError)
 
@@ -344,6 +353,61 @@ def test_the_command_runs_a_cluster_of_its_own(characterized, logs):
     np.testing.assert_allclose(pd.read_parquet("out/fleet.parquet")["value"], expected, rtol=1e-8)
     nothing = run("fleet", "*.parquet")
     assert (nothing.exit_code, "*.parquet" in nothing.stderr) == (1, True)
+
+
+def test_limits_of_every_recording_in_one_table_and_one_file(characterized, logs, cluster):
+    """As `check_spec` has them for each; unit_3's gyro is ten times the others'."""
+    out, before = characterized
+    limit = 2.0 * before.table.query("coefficient == @ARW and axis == 'gyro_x'")["value"].median()
+    accel = before.table.query("coefficient == @ARW and axis == 'accel_z'")["value"].median()
+    sheet = {
+        "name": "acceptance",
+        "gyro": {"meaning": "maximum", "random_walk": f"{limit} deg/√h"},
+        "accel": {"meaning": "maximum", "random_walk": f"{accel} m/s/√h", "N": "9 m/s/√h"},
+    }
+    options = {"plain": True, "scheduler": cluster, "spec": sheet}
+    result = aj.characterize_fleet(logs / "unit_*.parquet", out, "N + K", **options)
+    names = [f"unit_{k}" for k in range(5)]
+    assert [check.name for check in result.checks] == names
+    expected = {}
+    for name in names:
+        for r in aj.check_spec(aj.load(out / "recordings" / f"{name}.json"), sheet).results:
+            expected[name, r.axis, r.limit.figure] = r
+    assert {name for (name, *_), r in expected.items() if r.verdict == "fail"} >= {"unit_3"}
+    table = pd.read_csv(out / "fleet_spec.csv", dtype={"unit_name": str}).set_index(
+        ["recording", "axis", "figure"]
+    )
+    assert {*table.index} == {*expected}
+    assert len(table) == 5 * 3
+    for key, r in expected.items():
+        row = table.loc[key]
+        assert (row["verdict"], row["margin"]) == (r.verdict, r.margin)
+        assert row["estimate"] == pytest.approx(r.estimate.in_unit(row["unit"]).value, rel=1e-9)
+    root = ElementTree.parse(out / "fleet_spec.xml").getroot()
+    cases = {(case.get("classname"), case.get("name")): case for case in root.iter("testcase")}
+    assert len(cases) == int(root.get("tests")) == len(expected)
+    marks = {"pass": None, "fail": "failure", "undecided": "skipped"}
+    for (name, axis_name, figure), r in expected.items():
+        case = cases[f"{name}.{axis_name}", f"{figure.replace('_', ' ')} (maximum)"]
+        found = [child.tag for child in case if child.tag != "system-out"]
+        assert found == [marks[r.verdict]] * (r.verdict != "pass")
+    text, notes = str(result), (out / "notes.txt").read_text(encoding="utf-8")
+    assert "unit_3: gyro random walk is not met: gyro_x, margin -" in text
+    assert "unit_3: gyro random walk is not met: gyro_x, margin -" in notes
+    assert ("is undecided: accel_z, a record of " in text) == ("undecided" in {*table["verdict"]})
+    assert "against acceptance: " in text
+
+
+@pytest.mark.usefixtures("elsewhere")
+def test_the_command_ends_with_the_code_of_the_limits(logs, cluster):
+    words = ["--terms", "N + K", "--plain", "--scheduler", cluster, "--out", "out"]
+    for limit, code in (("3 deg/√h", 1), ("9 deg/√h", 0)):
+        Path("limits.yaml").write_text(f"gyro: {{meaning: maximum, N: {limit}}}", encoding="utf-8")
+        done = run("fleet", logs / "unit_2.parquet", logs / "unit_3.parquet", *words, "--spec", "limits.yaml")
+        assert (done.exit_code, "fleet_spec.xml" in done.stdout) == (code, True)
+    Path("limits.yaml").write_text("gyro: {arw: 1}", encoding="utf-8")
+    wrong = run("fleet", logs / "unit_2.parquet", *words, "--spec", "limits.yaml")
+    assert (wrong.exit_code, "limits.yaml: gyro" in wrong.stderr) == (1, True)
 
 
 @pytest.mark.usefixtures("elsewhere")
@@ -423,3 +487,41 @@ def test_the_picture_has_a_panel_per_coefficient_and_names_units(fleet, monkeypa
     np.testing.assert_allclose(medians, [np.median(y) for y in expected])
     bare = aj.FleetResult(result.table.drop(columns="outlying"), (), (), 0)
     refused(bare.plot, "outlying", aj.AllanjaxError)
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="names and files of POSIX")
+def test_no_file_ends_a_fleet(cluster, tmp_path):
+    """Names that are no text, too long, or that programs obey; a pipe, a loop of links, damaged results."""
+    folder, out = tmp_path / "logs", tmp_path / "out"
+    folder.mkdir()
+    x = np.random.default_rng(0).standard_normal((2048, 1))
+    content = io.BytesIO()
+    np.save(content, x)
+    names = [b"unit.npy", b"bad\xff.npy", b"\x1b[31mred.npy", b"x" * 240 + b".npy"]
+    for name in names:
+        Path(os.fsdecode(os.path.join(os.fsencode(folder), name))).write_bytes(content.getvalue())
+    (folder / "=broken.npy").write_bytes(b"\x93NUMPY")
+    os.mkfifo(folder / "pipe.npy")
+    os.symlink(folder / "loop.npy", folder / "loop.npy")
+    files = [*folder.iterdir()]
+    options = {"scheduler": cluster, "plain": True, "rate": 100.0, "gyro_unit": "deg/s", "columns": "gyro_x"}
+    first = aj.characterize_fleet(files, out, "N", **options)
+    failed = {error["file"].rpartition("/")[2]: error["message"] for error in first.errors}
+    assert sorted(failed) == ["=broken.npy", "loop.npy", "pipe.npy"]
+    assert (len(first.table), first.resumed) == (len(names), 0)
+    assert not re.search("[\x00-\x1f\udc00-\udfff]", "".join(first.table["recording"]))
+    assert first.table["recording"].str.len().max() < 210
+    written = (out / "errors.csv").read_text()
+    assert not re.search(r"^[=+@-]", written, flags=re.MULTILINE)
+    assert json.loads(json.dumps(first.to_dict()))["table"][0]["coefficient"] == ARW
+    # Someone empties a stored fit, and takes the coefficients out of another one.
+    stored = sorted((out / "recordings").iterdir())
+    stored[0].write_text("[" * 100_000)
+    document = json.loads(stored[1].read_text())
+    del document["fit"]["axes"][0]["coefficients"]
+    stored[1].write_text(json.dumps(document))
+    again = aj.characterize_fleet(files, out, "N", **options)
+    assert again.resumed == len(names) - 2
+    pd.testing.assert_frame_equal(again.table, first.table)
+    # Another size of pieces is another way to a result.
+    assert aj.characterize_fleet(files, out, "N", piece=200_000, **options).resumed == 0

@@ -1,5 +1,7 @@
 """Which units of a fleet are unlike the others: marks, false marks, ratios, and groups that nobody named."""
 
+import re
+
 import numpy as np
 import pytest
 from fleets import ARW, axis, coefficient, marks
@@ -25,7 +27,7 @@ def p_value(x, s, unit):
     spread = np.mean(np.sort(distance)[:inner] ** 2) / truncnorm.var(-end, end)
     spread = max(spread, np.median(error))
     own = spread - np.median(error) + error[unit]
-    degrees = min(inner - 1.0, 0.8 * inner) * (own / spread) ** 2
+    degrees = min(inner - 2.0 + inner / (n - 1), 0.8 * inner) * (own / spread) ** 2
     return 2.0 * student.sf(distance[unit] / np.sqrt(own + 0.5 * np.pi * spread / n), degrees)
 
 
@@ -149,6 +151,93 @@ def test_of_three_units_none_is_outlying(fleet):
     part = fleet.judged(("gyro", ARW, value, 0.03), group=["a"] * 2 + ["b"] * 10)
     assert part.notes[0].startswith("group a, 2 units: too few")
     assert fleet.judged(("gyro", ARW, value[:2], 0.1)).notes[0].startswith("2 units:")
+
+
+def odd(result):
+    return result.table[result.table["odd_record"]].groupby("recording")["axis"].count().to_dict()
+
+
+@pytest.mark.usefixtures("no_windows")
+def test_a_laboratory_with_six_units_of_two_grades_on_two_days(fleet, monkeypatch, tmp_path):
+    """U3 is 1.5 times off on its second day, and U6 twice its grade on both: three units are a grade."""
+    monkeypatch.undo()
+    value = np.exp(0.003 * np.random.default_rng(1).standard_normal((12, 3)))
+    value[6:] /= 50.0
+    value[5] *= 1.5
+    value[10:] *= 2.0
+    parts = ("gyro", ARW, value, 0.002), ("gyro", BI, np.ones((12, 3)), 0.1)
+    about = {"group": [*"aaaaaabbbbbb"], "unit": np.repeat([f"U{k}" for k in range(1, 7)], 2)}
+    fleet.out.mkdir()
+    result = fleet.judged(*parts, **about)
+    assert (marked_axes(result), odd(result)) == ({f"unit_{k}": 3 for k in (5, 10, 11)}, {"unit_5": 3})
+    lines = ["U6: outlying against the median of its group: gyro N ×", "unit_5: gyro N 1.5"]
+    text, notes = str(result), (fleet.out / "notes.txt").read_text(encoding="utf-8")
+    assert all(line in text and line in notes for line in lines)
+    assert "its other record" in text
+    assert "3 with 6 records" in text
+    table = result.table.set_index(["recording", "axis"])
+    of = table[table["coefficient"] == ARW]
+    first, second = value[4], value[5]
+    np.testing.assert_allclose(of.loc["unit_5", "record_ratio"], second / first, rtol=1e-9)
+    assert of.loc["unit_10", "ratio"].tolist() == pytest.approx([2.0] * 3, rel=0.02)
+    names = {text.get_text().split()[0] for panel in result.plot().axes for text in panel.texts}
+    assert names == {"5", "10", "11"}
+    aj.report(result, tmp_path / "fleet.html")
+    page = (tmp_path / "fleet.html").read_text(encoding="utf-8")
+    assert "unit_5: gyro N 1.5" in page
+    assert "2 outlying unit" in page
+    # Without its units, each record is one.
+    assert {*marked_axes(fleet.judged(*parts, group=about["group"]))} == {"unit_5", "unit_10", "unit_11"}
+
+
+@pytest.mark.parametrize(("units", "days"), [(6, 2), (12, 2), (8, 3), (24, 5)])
+def test_like_records_of_like_units_are_not_named(fleet, units, days):
+    """With scatter within and between units, of which neither alone is that of all records."""
+    for seed in range(3):
+        rng = np.random.default_rng([units, days, seed])
+        between, within = rng.uniform(0.0, 0.2), rng.uniform(0.0, 0.1)
+        own = np.repeat(between * rng.standard_normal((units, 3)), days, axis=0)
+        value = np.exp(own + np.hypot(within, 0.02) * rng.standard_normal((units * days, 3)))
+        result = fleet.judged(("gyro", ARW, value, 0.02), unit=np.repeat(np.arange(units), days))
+        assert len(result.outlying) == 0
+
+
+def test_an_odd_record_is_left_out_of_its_unit_and_a_unit_is_judged_by_all(fleet):
+    """Of three days one is off, downwards to where the other units are; its unit is off on the two others."""
+    rng = np.random.default_rng(6)
+    value = np.exp(0.02 * np.repeat(rng.standard_normal((12, 3)), 3, axis=0))
+    value *= np.exp(0.01 * rng.standard_normal((36, 3)))
+    unit = np.repeat(np.arange(12), 3)
+    value[3:6] *= 2.0
+    value[4] /= 2.0
+    value[10] *= 1.6
+    result = fleet.judged(("gyro", ARW, value, 0.005), unit=unit)
+    assert odd(result) == {"unit_4": 3, "unit_10": 3}
+    assert {*result.table.loc[result.table["outlying"], "unit_name"]} == {"1"}
+    # Days that scatter say less of the unit than their errors would.
+    calm = np.exp(0.002 * rng.standard_normal((36, 3)))
+    calm[3:6] *= np.array([1.0, 1.15, 1.3])[:, None]
+    assert {*fleet.judged(("gyro", ARW, calm, 0.002), unit=unit).table.query("outlying")["unit_name"]} == {
+        "1"
+    }
+    loud = calm * np.exp(0.15 * rng.standard_normal((36, 3)))
+    assert not fleet.judged(("gyro", ARW, loud, 0.002), unit=unit).table["outlying"].any()
+
+
+def test_the_scatter_within_and_between_units_is_told(fleet):
+    """Of a balanced analysis of variance, by hand, where errors are negligible."""
+    rng = np.random.default_rng(9)
+    x = 0.1 * np.repeat(rng.standard_normal(12), 4) + 0.03 * rng.standard_normal(48)
+    result = fleet.judged(("gyro", ARW, np.exp(x)[:, None], 1e-4), unit=np.repeat(np.arange(12), 4))
+    by_unit = x.reshape(12, 4)
+    within = by_unit.var(axis=1, ddof=1).mean()
+    between = by_unit.mean(axis=1).var(ddof=1) - within / 4.0
+    lines = str(result).splitlines()
+    begin = next(k for k, line in enumerate(lines) if "within units" in line)
+    row = next(line for line in lines[begin:] if line.startswith("gyro_x"))
+    sizes = [float(size) for size in re.findall(r"([\d.]+) \([\d.]+ …", row)]
+    # Two digits are printed.
+    assert sizes == pytest.approx([100.0 * np.sqrt(within), 100.0 * np.sqrt(between)], rel=0.05)
 
 
 def of_units(fleet, values, error, more):

@@ -117,7 +117,7 @@ def test_lines_that_are_no_samples_are_refused(pipe):
 
 
 def test_a_file_is_watched_while_it_grows(tmp_path):
-    path, lines, ended = tmp_path / "log.csv", rows(noise(40_000)), threading.Event()
+    path, lines, ended = tmp_path / "log.csv", rows(noise(200_000)), threading.Event()
     path.write_text(HEADER + "".join(lines[:1_000]) + lines[1_000][:7])
 
     def grow():
@@ -131,12 +131,12 @@ def test_a_file_is_watched_while_it_grows(tmp_path):
 
     logger = threading.Thread(target=grow)
     logger.start()
-    # 1,000 samples tell N to some 3 %, 40,000 to 0.4 %: white noise has a relative error of (2n)**-0.5.
+    # 1,000 samples tell N to some 3 %, 200,000 to 0.2 %: white noise has a relative error of (2n)**-0.5.
     done = run("watch", path, "--until", "N 1 %", "--terms", "N + K", "--json", "--every", "0.1")
     ended.set()
     logger.join()
     assert done.exit_code == 0, done.stderr
-    assert 5_000 < result(done)["recording"]["n"] < 40_000
+    assert 5_000 < result(done)["recording"]["n"] < 200_000
     assert "a new piece" not in done.stderr
 
 

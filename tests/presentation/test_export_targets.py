@@ -2,6 +2,7 @@
 
 import dataclasses
 import functools
+import itertools
 import json
 import math
 import re
@@ -168,8 +169,45 @@ def test_the_command_gives_what_the_function_does():
     assert {words: run("export", *words.split()).exit_code for words in refused} == refused
 
 
+# Range of each parameter, as AP_NavEKF3.cpp and the yaml files of PX4's ekf2 document it, and its rate [Hz].
+RANGES = {
+    "ardupilot": {
+        "EK3_GYRO_P_NSE": (0.0001, 0.1),
+        "EK3_ACC_P_NSE": (0.01, 1.0),
+        "EK3_GBIAS_P_NSE": (0.00001, 0.001),
+        "EK3_ABIAS_P_NSE": (0.00001, 0.02),
+    },
+    "px4": {
+        "EKF2_GYR_NOISE": (0.0001, 0.1),
+        "EKF2_ACC_NOISE": (0.01, 1.0),
+        "EKF2_GYR_B_NOISE": (0.0, 0.01),
+        "EKF2_ACC_B_NOISE": (0.0, 0.01),
+    },
+}
+KEYS = ("gyroscope_noise_density", "accelerometer_noise_density", "gyroscope_random_walk")
+KEYS += ("accelerometer_random_walk",)
+
+
+@pytest.mark.parametrize("target", RANGES)
+def test_a_value_beyond_the_documented_range_is_commented_out(tmp_path, target):
+    rate, ranges = {"ardupilot": 1.0 / 0.012, "px4": 100.0}[target], RANGES[target]
+    for end, factor in itertools.product((0, 1), (0.99, 1.01)):
+        values = {name: max(factor * limits[end], 1e-8) for name, limits in ranges.items()}
+        rows = [f"{key}: {x / math.sqrt(rate):.17g}" for key, x in zip(KEYS, values.values(), strict=True)]
+        (tmp_path / "there.yaml").write_text("\n".join(rows), encoding="utf-8")
+        done = run("export", "there.yaml", "--from", "kalibr", "--to", target)
+        shown, off = (
+            set(re.findall(rf"^{begin}(?:param set )?(EK\w+)[, ]\S+$", done.stdout, re.M))
+            for begin in ("", "# ")
+        )
+        assert shown == {name for name, (least, most) in ranges.items() if least <= values[name] <= most}
+        assert off == ranges.keys() - shown
+        assert sum("is commented out: the range" in line for line in done.stderr.splitlines()) == len(off)
+        assert done.exit_code == (1 if off else 0)
+
+
 UNREADABLE = ("imu_utils", "gtsam", "airsim", "isaac-lab", "pegasus", "matlab")
-OWN_N, OWN_K = {"gyro": 1.7e-4, "accel": 2.0e-3}, {"gyro": 1.9e-5, "accel": 3.0e-3}
+OWN_N, OWN_K = {"gyro": 1.7e-4, "accel": 2.0e-3}, {"gyro": 1.9e-5, "accel": 6.0e-4}
 # Whose files hold no walk of a bias: none, or a Markov process.
 WITHOUT_WALK = "glim robot_localization gz-sim gazebo-classic rotors hybvio kf-gins ob-gins"
 # As Kalibr's wiki has it.

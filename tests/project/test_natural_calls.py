@@ -80,3 +80,25 @@ TABLE = np.random.default_rng(0).normal(size=(64, 3))
 )
 def test_what_is_missing_is_asked_for(call, word):
     refuses(word, call)
+
+
+CALLS = {
+    "sample": (aj.sample, "allanjax.fit"),
+    "horizon": (lambda x: aj.horizon(x, 1.0), "data sheet"),
+    "export": (lambda x: aj.export(x, "kalibr"), "data sheet"),
+    "inspect": (aj.inspect, "allanjax.read"),
+    "accumulate": (aj.accumulate, "read_chunks"),
+    "joint_fit": (aj.joint_fit, "list"),
+    "calibrate": (aj.calibrate, "list"),
+    "random_effects": (aj.random_effects, "numbers|finite values"),
+    "write": (lambda x: aj.write(x, "imu.csv"), "recording"),
+}
+
+
+@pytest.mark.usefixtures("unchecked_shapes")
+@pytest.mark.parametrize("name", CALLS)
+def test_arguments_of_another_kind_are_refused_in_words(name):
+    call, word = CALLS[name]
+    for other in (None, 3, "BMI088", {1, 2}):
+        with pytest.raises(aj.AllanjaxError, match=word):
+            call(other)

@@ -7,7 +7,7 @@ from places import ROOT
 
 PACKAGES = (
     *("base", "record", "inspection", "noise", "allan", "spectrum", "wavelets", "kalman", "estimate"),
-    *("posterior", "critic", "fleet", "calibration", "navigation", "comparison", "presentation", "cli"),
+    *("posterior", "critic", "calibration", "navigation", "comparison", "fleet", "presentation", "cli"),
 )
 ALLANJAX = ROOT / "allanjax"
 

@@ -56,8 +56,13 @@ class Fleet:
         folder.mkdir(parents=True, exist_ok=True)
         (folder / f"{name}.json").write_text(json.dumps({"key": key, "fit": fit}), encoding="utf-8")
 
-    def judged(self, *parts: tuple, group: Sequence | None = None) -> aj.FleetResult:
-        """Result for (sensor, label, values [units, axes], errors, limits if any) of unit_0, unit_1, …"""
+    def judged(
+        self, *parts: tuple, group: Sequence | None = None, unit: Sequence | None = None
+    ) -> aj.FleetResult:
+        """Result for (sensor, label, values [units, axes], errors, limits if any) of unit_0, unit_1, …
+
+        If their units are given, they are recordings of these.
+        """
         shutil.rmtree(self.out, ignore_errors=True)
         files = [self.file(f"unit_{u}") for u in range(len(parts[0][2]))]
         for u, file in enumerate(files):
@@ -70,8 +75,12 @@ class Fleet:
                     found = coefficient(label, float(value), float(error), end)
                     axes.setdefault(f"{sensor}_{name}", []).append(found)
             self.store(file.stem, [axis(name, found) for name, found in axes.items()])
-        named = None if group is None else {f"unit_{u}": str(name) for u, name in enumerate(group)}
-        return self.run(files, group=named)
+        named = {
+            option: {f"unit_{u}": str(name) for u, name in enumerate(names)}
+            for option, names in (("group", group), ("unit", unit))
+            if names is not None
+        }
+        return self.run(files, **named)
 
     def run(self, files: Sequence[Path], **options: Any) -> aj.FleetResult:
         return aj.characterize_fleet(files, self.out, **options)

@@ -11,7 +11,7 @@ from typing import Literal, NamedTuple, get_args
 
 import numpy as np
 
-from allanjax.base.errors import AllanjaxError, FitError
+from allanjax.base.errors import AllanjaxError, FitError, expect
 from allanjax.base.wording import format_interval, significant
 from allanjax.estimate.result import AxisFit, Fit
 from allanjax.noise.datasheet import NOT_GIVEN, REMEDY, DataSheet
@@ -215,10 +215,14 @@ Axes = Literal["each", "worst", "mean"]
 
 
 class Exported(NamedTuple):
-    """The text for a target, and what its user should know: warnings, and what had to be left out of it."""
+    """The text for a target, and what its user should know: warnings, and what had to be left out of it.
+
+    `refused` are values beyond the ranges that the target documents, which are commented out.
+    """
 
     text: str
     left_out: tuple[str, ...]
+    refused: tuple[str, ...] = ()
 
 
 @dataclasses.dataclass(frozen=True)
@@ -289,6 +293,7 @@ def assembled(
             without.setdefault(str(why), []).append(key.called)
     left_out = [f"{', '.join(dict.fromkeys(keys))} left out: {why}" for why, keys in without.items()]
     wrong = [text for s in sensors.values() for text in s.wrong]
+    refused = tuple(entry.refused for entry in entries if entry.refused)
     lines = [
         *head,
         f"follows {to.source}",
@@ -298,8 +303,9 @@ def assembled(
         *wrong,
         *not_held,
         *left_out,
+        *refused,
     ]
-    return Exported(written(to, lines, entries), (*wrong, *left_out))
+    return Exported(written(to, lines, entries), (*wrong, *left_out), refused)
 
 
 class _LeftOutError(Exception):
@@ -358,12 +364,16 @@ def _entry(
     comments += dict.fromkeys(lacking)
     if key.note:
         comments.append(key.note)
+    refused = ""
     if any(not key.least <= x <= key.most for x in values):
-        comments.append(f"OUTSIDE of the {key.least:g} to {key.most:g} {key.unit} that {to.title} accepts")
+        shown = key.called.replace("...", ", ".join(map(significant, values)))
+        between = f"{key.least:g} to {key.most:g} {key.unit}"
+        refused = f"{shown} is commented out: the range that {to.title} documents is {between}"
+        comments.append(refused)
     if key.of == "matrix":
         # Of 3 × 3, row by row.
         values = tuple(np.diag(values).ravel().tolist())
-    return Entry(key.name, values if key.of in ("three", "matrix") else values[0], tuple(comments))
+    return Entry(key.name, values if key.of in ("three", "matrix") else values[0], tuple(comments), refused)
 
 
 def _values(
@@ -401,7 +411,8 @@ def export(
 
     Every value has its formula, unit, the estimate with its 95 % interval and the source of the formula in a
     comment. What is not detected is exported as its 95 % limit, and says so; what the fit or the target
-    cannot hold is noted and left out. The text is ASCII; comments of JSON are in "_comment".
+    cannot hold is noted and left out; a value beyond the range that the target documents is commented out.
+    The text is ASCII; comments of JSON are in "_comment".
 
     Args:
         fit: the fit of a recording, from `fit` or `load`; or a data sheet, whose K, which data sheets do not
@@ -418,6 +429,7 @@ def export(
         AllanjaxError: there is no such target, it does not hold three values, or the rate is not positive.
         FitError: no axis has a result that is a measurement of the sensor.
     """
+    expect(fit, (Fit, DataSheet), "export takes a fit or a data sheet, e.g. allanjax.datasheet('BMI088')")
     text = exported(fit, target, axes=axes, rate=rate, force=force).text
     if path is not None:
         Path(path).write_text(text, encoding="ascii")

@@ -23,17 +23,26 @@ Value = float | str | bool | tuple[float, ...]
 
 @dataclasses.dataclass(frozen=True)
 class Entry:
-    """A line of a file: where it stands (see `Key.name`), its value, and comments."""
+    """A line of a file: where it stands (see `Key.name`), its value, and comments.
+
+    A value that the target refuses is commented out, with the reason.
+    """
 
     name: str
     value: Value
     comments: tuple[str, ...] = ()
+    refused: str = ""
 
 
 def written(target: Target, head: Sequence[str], entries: Sequence[Entry]) -> str:
     """The text of a target's file: comments that are its head, and its entries with theirs."""
     # Comments before they are broken into lines, for some become longer.
-    plain = [dataclasses.replace(e, comments=tuple(map(_ascii, e.comments))) for e in entries]
+    plain = [
+        dataclasses.replace(e, comments=tuple(map(_ascii, e.comments)))
+        for e in entries
+        # Lines alone can be commented out one by one.
+        if not e.refused or target.syntax == "lines"
+    ]
     return _ascii(_WRITERS[target.syntax](target, [*map(_ascii, head)], plain))
 
 
@@ -65,7 +74,8 @@ def _lines(target: Target, head: Sequence[str], entries: Sequence[Entry]) -> str
     rows = [*_comments(head, target.comment), "", *target.before]
     for entry in entries:
         rows += _comments(entry.comments, target.comment)
-        rows.append(entry.name.replace("{}", _literal(entry.value)))
+        begin = f"{target.comment} " * bool(entry.refused)
+        rows.append(begin + entry.name.replace("{}", _literal(entry.value)))
     return "\n".join(rows) + "\n"
 
 

@@ -35,7 +35,7 @@ class Key:
         sensor: whose value it is; None for one of the recording.
         of: of which axes it is.
         optional: whether it is left out where the quantity is not detected, and not given its limit.
-        least, most: what the target accepts, in its unit.
+        least, most: range that the target's documentation gives, in its unit.
         note: what there is to say of this value.
     """
 

@@ -18,7 +18,8 @@ from allanjax.critic.result import Critique
 from allanjax.estimate.check import Check
 from allanjax.estimate.result import MAIN, Fit, detail
 from allanjax.fleet.fleet import FleetResult
-from allanjax.fleet.table import lines_of, times
+from allanjax.fleet.limits import table_of_limits, verdict_of
+from allanjax.fleet.table import ROWS, outlying_names, times
 from allanjax.fleet.table import tables as fleet_tables
 from allanjax.inspection.facts import listed
 from allanjax.noise.estimate import SYMBOLS, Estimate, title_of
@@ -298,13 +299,16 @@ def _view(comparison: Comparison, axis: Axis) -> View:
 def of_fleet(fleet: FleetResult, pages: Mapping[str, str]) -> Iterator[Section]:
     """Sections about a fleet; `pages` are the addresses of the units' own pages by their names."""
     table = fleet.table
-    outlying = sorted(set(fleet.outlying["recording"]))
+    outlying = outlying_names(table)
     style = "care" if outlying or fleet.errors else "good"
-    verdict = f"{len(outlying) or 'No'} outlying unit{'' if len(outlying) == 1 else 's'}"
+    kind = "unit" if not table["odd_record"].any() else "unit or record"
+    verdict = f"{len(outlying) or 'No'} outlying {kind}{'' if len(outlying) == 1 else 's'}"
     blocks: list[Block] = [Text(f"{verdict}; {fleet.summary}.", f"verdict {style}")]
     tables = (columns for columns in fleet_tables(table) if sum(any(c.cells) for c in columns) > 1)
     blocks.append(Row([*map(Table.of, tables)]))
-    blocks += [Text(line, "note") for line in lines_of(table)]
+    if fleet.checks:
+        blocks += [Text(f"{verdict_of(fleet.checks)}."), Row([Table.of(table_of_limits(fleet.checks))])]
+    blocks += [Text(line, "note") for line in fleet.lines(ROWS) if line not in fleet.notes]
     blocks += [Text(note, "warning") for note in fleet.notes]
     if fleet.errors:
         errors = [Text(f"{error['file']}: {error['message']}", "warning") for error in fleet.errors]
@@ -328,7 +332,7 @@ def _distributions(table: pd.DataFrame) -> Iterator[Chart]:
             share, names = 100.0 * (np.arange(len(own)) + 0.5) / len(own), own["recording"].tolist()
             value, low, high = (si * own[key].to_numpy() for key in ("value", "lower_95", "upper_95"))
             traces.append(Trace(group, "units", share, value, low, high, labels=range(len(own)), names=names))
-            for k in np.flatnonzero(own["outlying"]).tolist():
+            for k in np.flatnonzero(own["outlying"] | own["odd_record"]).tolist():
                 text = f"{names[k]} {times(own['ratio'].iloc[k])}"
                 marks.append(Mark(text, float(share[k]), float(value[k]), group))
         labels = coefficient, "units up to this value", "%", SYMBOLS.get(coefficient, "value")
@@ -352,6 +356,6 @@ def _units(table: pd.DataFrame, pages: Mapping[str, str]) -> Units:
         first = [unit, pages[unit]] if unit in pages else unit
         rows.append([first, *(cells.get((unit, *column[:2])) for column in columns), "; ".join(remarks)])
     heads = [f"{axis} {SYMBOLS.get(of, of.replace('_', ' '))} [{unit}]" for of, axis, unit in columns]
-    outlying = set(table.loc[table["outlying"], "recording"])
+    outlying = set(table.loc[table["outlying"] | table["odd_record"], "recording"])
     marked = [k for k, unit in enumerate(parts) if unit in outlying]
     return Units(["unit", *heads, "remarks"], rows, marked)

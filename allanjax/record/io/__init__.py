@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from allanjax.base.errors import RecordingError
+from allanjax.base.errors import RecordingError, expect
 from allanjax.record.io.options import GapChoice, ReadOptions, TimeChoice
 
 if TYPE_CHECKING:
@@ -96,6 +96,9 @@ def write(recording: Recording, path: str | os.PathLike[str]) -> None:
     import pyarrow.csv
     import pyarrow.parquet
 
+    from allanjax.record.recording import Recording
+
+    expect(recording, Recording, "write takes a recording first, and then a path")
     path = Path(path)
     if path.is_dir():
         raise RecordingError(f"{path} is a folder; give a file, .csv, .parquet or .npz")

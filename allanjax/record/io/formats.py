@@ -1,5 +1,6 @@
 """Recognition of the format of a file by its first bytes, or else by its name."""
 
+import zlib
 from pathlib import Path
 
 from allanjax.base.wording import harmless
@@ -10,6 +11,8 @@ from allanjax.record.io.table import Format
 from allanjax.record.io.text import TEXT, VECTORNAV
 from allanjax.record.validation import Source
 
+# Bytes of a name: file systems allow 255, with what is added to it.
+_LONGEST_NAME = 200
 #: Formats in the order in which they are tried; the last one is the fallback.
 FORMATS = (PARQUET, NPY, NPZ, HDF5, MAT, ROS, ULOG, DATAFLASH, VECTORNAV, TDMS, TEXT)
 
@@ -47,6 +50,14 @@ def is_bag(path: Path) -> bool:
 
 
 def name_of(path: Path) -> str:
-    """Return the name of a file without its suffix, as it can be shown and written."""
-    name = harmless(path.name)
-    return name.removesuffix(".gz").rsplit(".", 1)[0] or name
+    """Return the name of a file without its suffix, as names of results have it."""
+    return storable(path.name.removesuffix(".gz").rsplit(".", 1)[0] or path.name)
+
+
+def storable(name: str) -> str:
+    """A name that can be shown, and written with any suffix: a long one is cut, and a number added."""
+    name = harmless(name)
+    content = name.encode()
+    if len(content) <= _LONGEST_NAME:
+        return name
+    return f"{content[: _LONGEST_NAME - 9].decode(errors='ignore')}-{zlib.crc32(content):08x}"
