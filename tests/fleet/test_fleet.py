@@ -405,6 +405,12 @@ def test_the_command_ends_with_the_code_of_the_limits(logs, cluster):
         Path("limits.yaml").write_text(f"gyro: {{meaning: maximum, N: {limit}}}", encoding="utf-8")
         done = run("fleet", logs / "unit_2.parquet", logs / "unit_3.parquet", *words, "--spec", "limits.yaml")
         assert (done.exit_code, "fleet_spec.xml" in done.stdout) == (code, True)
+    printed = run("fleet", logs / "unit_2.parquet", "none.csv", *words, "--spec", "limits.yaml", "--json")
+    document = json.loads(printed.stdout)
+    schema("fleet").validate(document)
+    assert not schema("fleet").is_valid(document | {"colour": "red"})
+    assert (document["resumed"], [check["verdict"] for check in document["limits"]]) == (1, ["pass"])
+    assert [error["file"] for error in document["errors"]] == ["none.csv"]
     Path("limits.yaml").write_text("gyro: {arw: 1}", encoding="utf-8")
     wrong = run("fleet", logs / "unit_2.parquet", *words, "--spec", "limits.yaml")
     assert (wrong.exit_code, "limits.yaml: gyro" in wrong.stderr) == (1, True)
