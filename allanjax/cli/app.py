@@ -99,8 +99,8 @@ app = App(
     config=_check,
     help_format="plaintext",
     help_epilogue="Exit codes: 0 success; 1 an error, an axis without a result, a check that says stop, or a "
-    "limit that is not met; 2 invalid command line; 3 a limit (--spec) that is undecided, or an aim (--until) "
-    f"that was not reached; {INTERRUPTED} interrupted.",
+    "limit that is not met; 2 invalid command line; 3 a limit (--spec) that is undecided, or an aim "
+    f"(--until) that was not reached; {INTERRUPTED} interrupted.",
     group_arguments=Group("Arguments", help_formatter=_show),
     group_parameters=_OPTIONS,
 )

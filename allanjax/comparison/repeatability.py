@@ -219,10 +219,13 @@ class JointFit(ByValue, PerAxis[AxisJoint]):
         for axis in self.results:
             for term, gain in axis.found_jointly.items():
                 factor = significant(float(np.exp(gain)), 2) if gain < _PLENTY else "above 10⁶"
-                text = f"no recording shows it alone, but all together (Bayes factor {factor})"
+                text = f"all recordings together show it, none of them alone (Bayes factor {factor})"
                 yield f"{axis.axis.name} {title_of(term, axis.axis.sensor)}: {text}"
             for term, rivals in axis.rivals.items():
                 name, *others = (title_of(t, axis.axis.sensor) for t in (term, *rivals))
                 yield f"{axis.axis.name} {name}: it may be {' or '.join(others)} as well"
         yield from (f"note: {note}" for note in self.notes)
-        yield "scatter: between recordings, beyond what their intervals explain; all alike: chance without it"
+        yield (
+            "scatter: standard deviation between recordings, beyond what their intervals explain; all alike: "
+            "probability of such differences between recordings that do not scatter"
+        )

@@ -367,22 +367,22 @@ def _of_length(inspection: Inspection, lengths: Sequence[NeededLength]) -> Itera
             poorest = max(own, key=lambda length: length.relative_std)
             yield Line(name, "fine", f"{poorest}{', other axes better' * (len(own) > 1)}")
         else:
-            yield Line(name, "look", "; ".join([_in_short(left), *map(str, left)]))
+            yield Line(name, "look", "; ".join([_in_short(symbol, left), *map(str, left)]))
 
 
-def _in_short(lengths: Sequence[NeededLength]) -> str:
-    """Return how many axes lack a coefficient, and the longest recording that any of them needs."""
+def _in_short(symbol: str, lengths: Sequence[NeededLength]) -> str:
+    """Return on which axes a coefficient is not known, and the longest recording that any of them needs."""
     # Axes whose fit does not describe the sensor have a line of their own.
     left, states = [x for x in lengths if not x.reason], dict[str, list[str]]()
     for x in left or lengths:
         state = "not detected" if math.isnan(x.relative_std) else f"known to worse than {_TARGET_WORDS}"
         states.setdefault("unknown" if x.reason else state, []).append(x.coefficient.axis.name)
     every = ((of[0] if len(of) == 1 else f"{len(of)} axes", state) for state, of in states.items())
-    head = ", ".join(f"{axes} {state}" for axes, state in every)
+    head = f"{symbol} is " + ", ".join(f"{state} on {axes}" for axes, state in every)
     if not left:
         return head
     longest = max(left, key=lambda x: x.seconds or math.inf)
-    at_limit = "at the limit, " * (states.keys() == {"not detected"})
+    at_limit = "if it is as large as its limit, " * (states.keys() == {"not detected"})
     where = f" ({longest.coefficient.axis.name})" * (len(left) > 1)
     return f"{head}; {at_limit}{in_words(longest.seconds)} would give {_TARGET_WORDS}{where}"
 

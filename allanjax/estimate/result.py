@@ -625,9 +625,10 @@ class Fit(ByValue, PerAxis[AxisFit]):
         for (question, _), of in undecided.items():
             names = [name for name, *_ in of]
             where = names[0] if len(names) == 1 else f"{len(names)} axes"
-            questions.append(f"{_in_symbols(question)} ({where})")
+            or_none = "" if " or " in question else " or none"
+            questions.append(f"{_in_symbols(question)}{or_none} ({where})")
         if questions:
-            yield _in_one_line("undecided (--verbose): ", questions)
+            yield _in_one_line("the data do not tell (more with --verbose): ", questions)
 
     def _title(self) -> str:
         if not self.curve.determined:

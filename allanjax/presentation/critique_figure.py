@@ -363,12 +363,12 @@ def _description(finding: Finding, axis: Axis) -> list[str]:
     """Lines of the text beside the effect."""
     lines = [sentence(finding), ""]
     if finding.cause != UNEXPLAINED:
-        evidence = "" if finding.evidence is None else f"evidence {finding.evidence:,.0f} nats"
+        evidence = "" if finding.evidence is None else f"log Bayes factor {finding.evidence:,.0f} nats"
         test = significance(finding)
         lines.append(", ".join(text for text in ("" if test in lines[0] else test, evidence) if text))
         lines += changes(finding, axis)
         mended = [pair for pair in finding.discrepancies if pair[0].p_value < SIGNIFICANT]
-        lines += ["", "before → after:"] if mended else []
+        lines += ["", "Tests that failed before this finding:"] if mended else []
         for before, after in sorted(mended, key=lambda pair: pair[0].p_value)[:_LISTED]:
-            lines.append(f"{what(before)} → {format_remainder(before, after)}")
+            lines.append(f"– {what(before)}; with the finding {format_remainder(before, after)}")
     return [part for line in lines for part in wrapped(line, _COLUMNS, rest="").split("\n")]

@@ -42,15 +42,15 @@ _STATISTICS = {
     "psd": "simulated PSD is {off} at {place}",
     "window_variance": "simulated noise power is {off} around {place}",
     "psd_line": "spectral line of {measured} at {place} ({simulated} in simulations)",
-    "autocorrelation": "residuals have an autocorrelation of {measured} at a lag of {place}",
-    "skewness": "residuals have a skewness of {measured}",
-    "tails": "residuals have an excess kurtosis of {measured}",
+    "autocorrelation": "residuals that are {place} apart are correlated ({measured})",
+    "skewness": "residuals are not distributed symmetrically (skewness {measured})",
+    "tails": "residuals have {more} large values than normal noise (excess kurtosis {measured})",
     "largest_residual": "largest residual of {measured} at {place} ({simulated} in simulations)",
     "lattice": "all samples are multiples of one step",
     "repeated_values": "{measured} of the samples repeat the previous one ({simulated} in simulations)",
-    "window_mean": "residuals have a mean of {measured} around {place}",
-    "cross_correlation": "residuals have a correlation of {measured} with those of {channel}",
-    "auxiliary_correlation": "{measured} rms follow {channel} ({simulated} by chance)",
+    "window_mean": "the mean of the residuals is {measured} around {place}",
+    "cross_correlation": "residuals are correlated with those of {channel} ({measured})",
+    "auxiliary_correlation": "{measured} rms of the samples follow {channel} ({simulated} by chance)",
 }
 # Values of a list that are shown; length from which on none is; and details that are never shown.
 _SHOWN, _LONGEST, _OMITTED = 3, 20, frozenset({"axes", "sizes"})
@@ -178,9 +178,10 @@ def what(d: Discrepancy) -> str:
     if d.statistic == "repeated_values":
         unit, factor = "%", 100.0
     measured, simulated = (_with(unit, plain(factor * x, 2)) for x in (d.measured, d.simulated))
-    numbers = {"measured": measured, "simulated": simulated, "off": factor_off(d.size)}
+    words = {"measured": measured, "simulated": simulated, "off": factor_off(d.size), "channel": d.channel}
+    more = "more" if d.measured > 0.0 else "fewer"
     place = _with(d.where_unit, plain(d.where, 3))
-    return _STATISTICS[d.statistic].format(**numbers, place=place, channel=d.channel)
+    return _STATISTICS[d.statistic].format(**words, place=place, more=more)
 
 
 def factor_off(size: float) -> str:
@@ -228,7 +229,7 @@ def findings_table(critique: Critique, findings: Sequence[Finding]) -> str:
         columns = findings_columns(critique, findings, brief=True)
     about = f"nats: log-likelihood gained on held-out data; {NONE}: not applicable"
     if any(len(f.axes) > 1 for f in findings):
-        about = f"size: of the most affected axis; {about}"
+        about = f"size: in the axis that is affected most; {about}"
     return f"{as_text('', [columns])}\n\n{about}"
 
 
@@ -297,9 +298,11 @@ def changed(finding: Finding, brief: bool) -> str:
 
 
 def _before_and_after(c: CoefficientChange | DriftChange) -> str:
-    """Values of a change, e.g. "2.53 → 1.46 deg/√h"; "none" where a coefficient is not in the model."""
-    before, after = (plain(x, 3) if np.isfinite(x) else "none" for x in (c.before, c.after))
-    return f"{before} {c.unit} → none" if after == "none" else f"{before} → {after} {c.unit}"
+    """Values of a change, e.g. "2.53 → 1.46 deg/√h", or "added, 1.46 deg/√h" of what was not in the model."""
+    before, after = (plain(x, 3) for x in (c.before, c.after))
+    if not np.isfinite(c.before):
+        return f"added, {after} {c.unit}"
+    return f"{before} → {after} {c.unit}" if np.isfinite(c.after) else f"removed, was {before} {c.unit}"
 
 
 def names_of(axes: Iterable[str]) -> str:
@@ -539,7 +542,9 @@ def format_remainder(before: Discrepancy, after: Discrepancy) -> str:
         if after.p_value < SIGNIFICANT:
             return factor_off(after.size)
         return f"within {percent(max(abs(after.size), 1e-3))}"
-    return "gone" if after.p_value > SIGNIFICANT else f"still there ({format_p_value(after.p_value)})"
+    if after.p_value < SIGNIFICANT:
+        return f"still significant ({format_p_value(after.p_value)})"
+    return "no longer significant"
 
 
 def changes(finding: Finding, axis: Axis) -> list[str]:

@@ -214,7 +214,7 @@ def test_a_term_that_no_recording_shows_is_found_by_all_together():
     assert aj.joint_fit([*fits, *longer])["gyro_x"].found_jointly.keys() == axis.found_jointly.keys()
     assert list(axis.coefficients) == ["angle_random_walk", "rate_random_walk"]
     assert axis.rivals == {"rate_random_walk": ("bias_instability",)}
-    assert "rate random walk: no recording shows it alone, but all together" in str(joint)
+    assert "rate random walk: all recordings together show it, none of them alone" in str(joint)
     without = aj.joint_fit([aj.fit(day(200 + k, f"{k}", N=GYRO)) for k in range(4)])["gyro_x"]
     assert list(without.coefficients) == ["angle_random_walk"]
     assert not without.found_jointly
