@@ -294,7 +294,9 @@ class Row(NamedTuple):
         return _WANTED.get(self.label) in one.lacking(self.axis)
 
     def cells(self, sensors: Sequence[Compared]) -> Iterator[tuple[str, ...]]:
-        """Row of the printed table for each sensor that has the coefficient, or should have it."""
+        """Row of the printed table for each sensor that has the coefficient, or should have it as others do."""
+        if all(c is None for c in self.estimates):
+            return
         for one, c, d in zip(sensors, self.estimates, self.differences, strict=True):
             if c is not None or self.is_lacking(one):
                 value = NOT_GIVEN if c is None else detail(c, self.unit)[2]
