@@ -8,7 +8,7 @@ import re
 import select
 import time
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import IO, TYPE_CHECKING
 
@@ -218,7 +218,13 @@ class Watch:
         return disturbed
 
     def _inspected(self, piece: AllanAccumulator) -> Inspection:
-        return piece.inspect(as_is=self._options.as_is, vibrating=self._options.vibrating)
+        seen = piece.inspect(as_is=self._options.as_is, vibrating=self._options.vibrating)
+        # What follows is advice for files that have ended.
+        facts = (
+            replace(fact, text=fact.text.partition("; ")[0]) if fact.kind == "not examined" else fact
+            for fact in seen.facts
+        )
+        return replace(seen, facts=tuple(facts))
 
     def _fit(self, piece: AllanAccumulator) -> Fit:
         """Fit of a piece."""

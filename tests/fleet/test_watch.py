@@ -169,6 +169,10 @@ def test_the_command_ends_when_the_aim_is_reached(pipe, tmp_path):
         c = by_label(axis)["angle_random_walk"]["si"]
         assert c["std"] <= 0.02 * c["value"]
     assert "N known to 2 %" in done.stderr
+    # What a stream leaves out is told without advice for files: a pipe is read only once.
+    (fact,) = [fact for fact in result(done)["facts"] if fact["kind"] == "not examined"]
+    assert fact["text"].startswith("not examined in a stream: outliers")
+    assert "--start" not in done.output
     assert {"pipe.json", "pipe_allan.png"} <= {path.name for path in (tmp_path / "out").iterdir()}
 
 
