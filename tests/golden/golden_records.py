@@ -13,8 +13,10 @@ from functools import partial
 from typing import Any
 
 import numpy as np
+
+# Not its submodules, which are loaded when they are used: `signal` takes seconds.
+import scipy
 from places import DATA
-from scipy import signal
 
 import allanjax as aj
 
@@ -92,7 +94,7 @@ def gauss_markov(rng, n, std, time, rate=RATE):
     mean = max((2.0 * (a - lost) - lost**2) / a**2 - cross**2 / end, 0.0)
     first, second = rng.standard_normal((2, n))
     start = rng.standard_normal()
-    state = signal.lfilter([1.0], [1.0, lost - 1.0], np.r_[start, np.sqrt(end) * first])[:-1]
+    state = scipy.signal.lfilter([1.0], [1.0, lost - 1.0], np.r_[start, np.sqrt(end) * first])[:-1]
     return std * (lost / a * state + cross / np.sqrt(end) * first + np.sqrt(mean) * second)
 
 
@@ -121,7 +123,7 @@ def oscillator(rng, n, std, frequency, quality, rate=RATE):
     F = np.array([[turn.real, -turn.imag], [turn.imag, turn.real]])
     driven = np.linalg.cholesky(stationary - F @ stationary @ F.T) @ rng.standard_normal((2, n))
     driven[:, 0] = np.linalg.cholesky(stationary) @ rng.standard_normal(2)
-    return std * signal.lfilter([1.0 + 0j], [1.0, -turn], driven[0] + 1j * driven[1]).real
+    return std * scipy.signal.lfilter([1.0 + 0j], [1.0, -turn], driven[0] + 1j * driven[1]).real
 
 
 def line(amplitude, frequency, phase):
@@ -218,7 +220,7 @@ LEAD = 512
 def filtered(seed, name, N, K, b, a, response, **shape):
     """N and K whose samples a filter of transfer b/a has passed."""
     c = crossing(N, K=K)
-    x = signal.lfilter(b, a, sensor(np.random.default_rng(seed), MIDDLE + LEAD, **c))[LEAD:]
+    x = scipy.signal.lfilter(b, a, sensor(np.random.default_rng(seed), MIDDLE + LEAD, **c))[LEAD:]
     return single(name, x, f"{response} * (N + K)", labelled(**c) | shape)
 
 
@@ -232,7 +234,7 @@ def averaged():
     """Means over 3.33 samples: of noise at thirty times the rate, every thirtieth of a mean of a hundred."""
     rng, fine, width, c = np.random.default_rng(15), 30, 100, crossing(GYRO, K=5.0)
     x = sensor(rng, (MIDDLE + 8) * fine, RATE * fine, **c)
-    means = signal.lfilter(np.full(width, 1.0 / width), [1.0], x)[8 * fine :: fine]
+    means = scipy.signal.lfilter(np.full(width, 1.0 / width), [1.0], x)[8 * fine :: fine]
     # The power of a mean over T is halved at 0.443/T.
     truth = labelled(**c) | {"moving_average_bandwidth": 0.442946 * fine * RATE / width}
     return single("gyro_z", means, "moving_average * (N + K)", truth)
@@ -268,7 +270,7 @@ def behind_a_filter():
     for name, size, std in (("gyro_x", GYRO, 1.5), ("accel_y", ACCEL, 2.5)):
         c, of = crossing(size, K=5.0), (std * size * np.sqrt(RATE), 31.0, 20.0)
         x = sensor(rng, MIDDLE + LEAD, **c) + oscillator(rng, MIDDLE + LEAD, *of)
-        columns.append(signal.lfilter(*smoothing(14.0), x)[LEAD:])
+        columns.append(scipy.signal.lfilter(*smoothing(14.0), x)[LEAD:])
         truth[name] = labelled(**c) | ringing(*of) | {"low_pass1_bandwidth": 14.0}
     return Record(np.column_stack(columns), tuple(truth), truth, model="low_pass1 * (N + K + resonance)")
 
@@ -289,11 +291,16 @@ def long_memory():
     return single("gyro_x", x, "N + power_law", truth)
 
 
+def butterworth():
+    """N and K behind a Butterworth filter."""
+    b, a = scipy.signal.butter(4, 21.0, fs=RATE)
+    return filtered(14, "gyro_y", GYRO, 4.0, b, a, "butterworth(order=4)", butterworth_bandwidth=21.0)
+
+
 _ONE_POLE = (13, "gyro_x", GYRO, 5.0, *smoothing(18.0), "low_pass1")
-_BUTTERWORTH = (14, "gyro_y", GYRO, 4.0, *signal.butter(4, 21.0, fs=RATE), "butterworth(order=4)")
 SHAPED = {
     "one_pole": partial(filtered, *_ONE_POLE, low_pass1_bandwidth=18.0),
-    "butterworth": partial(filtered, *_BUTTERWORTH, butterworth_bandwidth=21.0),
+    "butterworth": butterworth,
     "averaged": averaged,
     "biquad": biquad,
     "resonance": resonance,
@@ -400,9 +407,9 @@ def outliers(rng, x, truth):
 def knock(rng, x, truth):
     """Someone touches the table for three seconds: four of six axes shake."""
     start, length, axes = 6_000, 300, ("gyro_x", "gyro_y", "accel_x", "accel_z")
-    band = signal.butter(2, (1.0, 8.0), "bandpass", fs=RATE, output="sos")
+    band = scipy.signal.butter(2, (1.0, 8.0), "bandpass", fs=RATE, output="sos")
     for name in axes:
-        shake = signal.sosfilt(band, rng.standard_normal(length + 500))[500:] * np.hanning(length)
+        shake = scipy.signal.sosfilt(band, rng.standard_normal(length + 500))[500:] * np.hanning(length)
         x[name][start : start + length] += 12.0 * level(truth, name) * shake / np.max(np.abs(shake))
     return (Effect("disturbance", axes, {"start": start / RATE, "end": (start + length) / RATE}),)
 
@@ -462,7 +469,7 @@ def handled(rng, x, truth):
     """Carried for a few seconds at both ends."""
     for name in x:
         for part, count in ((slice(600), 600), (slice(-400, None), 400)):
-            noise = signal.lfilter([0.2], [1.0, -0.8], rng.standard_normal(count))
+            noise = scipy.signal.lfilter([0.2], [1.0, -0.8], rng.standard_normal(count))
             x[name][part] += 40.0 * level(truth, name) * noise
 
 

@@ -12,7 +12,7 @@ from collections.abc import Callable
 
 import mpmath as mp
 import numpy as np
-from scipy import signal
+import scipy
 from scipy.linalg import toeplitz
 
 import allanjax as aj
@@ -218,8 +218,10 @@ def pulse_autocorrelation(response: aj.Response, rate: float) -> np.ndarray:
     else:
         one = np.append(1.0, np.zeros(_lasting(f / 8.0)))
         designed = kind in ("Butterworth", "Biquad")
-        pulse = signal.lfilter(*design(response, rate), one) if designed else response.filtered(one, rate)
-        found = signal.correlate(pulse, pulse, "full", "direct")[len(pulse) - 1 :]
+        pulse = (
+            scipy.signal.lfilter(*design(response, rate), one) if designed else response.filtered(one, rate)
+        )
+        found = scipy.signal.correlate(pulse, pulse, "full", "direct")[len(pulse) - 1 :]
     found = found[: np.flatnonzero(abs(found) > _GONE * found[0])[-1] + 1]
     return found / (2.0 * found.sum() - found[0])
 
@@ -232,7 +234,7 @@ def _lasting(cycles: float) -> int:
 def design(response: aj.Response, rate: float) -> tuple[np.ndarray, np.ndarray]:
     """Coefficients b and a of a digital filter, as SciPy designs it."""
     if type(response).__name__ == "Butterworth":
-        return signal.butter(response.order, response.bandwidth, fs=rate)
+        return scipy.signal.butter(response.order, response.bandwidth, fs=rate)
     # An analog filter ω²/(s² + ωs/Q + ω²), prewarped.
     w = 2.0 * rate * np.tan(np.pi * response.bandwidth / rate)
-    return signal.bilinear([w**2], [1.0, w / response.quality_factor, w**2], rate)
+    return scipy.signal.bilinear([w**2], [1.0, w / response.quality_factor, w**2], rate)

@@ -5,7 +5,10 @@ import ctypes
 import functools
 import gc
 import os
+import sys
 from collections.abc import Iterator
+from importlib.abc import MetaPathFinder
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -68,20 +71,34 @@ def elsewhere(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("MPLBACKEND", "agg")
 
 
-@pytest.fixture(scope="session", autouse=True)
-def pictures_are_not_rendered() -> Iterator[None]:
-    """Figures are saved as the signature of a PNG: tests look at artists, and to render takes seconds."""
-    from matplotlib.figure import Figure
+class _Unrendered(MetaPathFinder):
+    """Figures are saved as the signature of a PNG: tests look at artists, and to render takes seconds.
 
-    original = Figure.savefig
+    As soon as a test loads matplotlib, which takes a second, too.
+    """
 
-    def saved(figure: Figure, path: str | os.PathLike[str], **options: Any) -> None:
-        Path(path).write_bytes(b"\x89PNG\r\n\x1a\n")
+    def find_spec(self, name: str, path: Any, target: Any = None) -> Any:
+        """Find the module of figures, and change how they are saved once it is loaded."""
+        if name != "matplotlib.figure":
+            return None
+        sys.meta_path.remove(self)
+        spec: Any = find_spec(name)
+        load = spec.loader.exec_module
 
-    saved.original = original  # type: ignore[attr-defined]
-    Figure.savefig = saved  # type: ignore[method-assign, assignment]
-    yield
-    Figure.savefig = original  # type: ignore[method-assign]
+        def loaded(module: Any) -> None:
+            load(module)
+            _save.original = module.Figure.savefig  # type: ignore[attr-defined]
+            module.Figure.savefig = _save
+
+        spec.loader.exec_module = loaded
+        return spec
+
+
+def _save(figure: Any, path: str | os.PathLike[str], **options: Any) -> None:
+    Path(path).write_bytes(b"\x89PNG\r\n\x1a\n")
+
+
+sys.meta_path.insert(0, _Unrendered())
 
 
 @pytest.fixture
