@@ -4,6 +4,9 @@
 makes it under a lock and leaves a pickle for the others.
 """
 
+# Annotations would load what few tests need.
+from __future__ import annotations
+
 import contextlib
 import functools
 import hashlib
