@@ -315,7 +315,8 @@ class Horizon(ByValue, PerAxis[AxisHorizon]):
         notes = [
             f"error: 1σ of the {errors} after {length(self.horizon)}. equal: N and K that predict the true "
             "error. bound: N and K that predict at least the true error, with a probability of "
-            f"{percent(self.probability)}. fitted: N and K as the fit has them, without allowing for its other terms"
+            f"{percent(self.probability)}. fitted: N and K as fitted, "
+            "without allowing for the other terms"
         ]
         for r in self.results:
             averaged = f"; averaged over {r.sets} likely sets of terms" if r.sets > 1 else ""
