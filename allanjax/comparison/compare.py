@@ -294,7 +294,7 @@ class Row(NamedTuple):
         return _WANTED.get(self.label) in one.lacking(self.axis)
 
     def cells(self, sensors: Sequence[Compared]) -> Iterator[tuple[str, ...]]:
-        """Row of the printed table for each sensor that has the coefficient, or lacks it where others do not."""
+        """Row of the printed table for each sensor that has the coefficient, or lacks what others have."""
         if all(c is None for c in self.estimates):
             return
         for one, c, d in zip(sensors, self.estimates, self.differences, strict=True):
