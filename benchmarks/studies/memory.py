@@ -112,7 +112,7 @@ def write_columns(path: Path, kind: str, n: int) -> Path:
     if kind == "HDF5":
         with h5py.File(path.with_suffix(".h5"), "w") as file:
             for name, column in columns.items():
-                file[name.replace("/", "\N{DIVISION SLASH}")] = column
+                file[name] = column
         return path.with_suffix(".h5")
     table = pyarrow.table(columns)
     if kind == "Parquet":
