@@ -118,7 +118,7 @@ def characterize(
     ----------
     stream
         Read in chunks, for recordings that do not fit into memory. The Allan variances are
-        estimated at octaves by the pyramid estimator; NAME_psd.png is not written.
+        estimated by the pyramid estimator; NAME_psd.png is not written.
     spec
         Check the coefficients against the limits in this YAML file (help(allanjax.check_spec)),
         and write NAME_spec.xml, JUnit XML. Exit code 1: a limit is not met; 3: none, but one is

@@ -124,14 +124,29 @@ def outlying(families: Sequence[Sequence[Values]], alarms: float = FALSE_ALARMS)
     """
     each = [np.stack([p_values(axis) for axis in axes], axis=1) for axes in families]
     together = [_together(p, axes) for p, axes in zip(each, families, strict=True)]
-    tested = [None if np.isnan(p) else p for of in together for p in of.tolist()]
+    first = [_first_of_two(axes[0].part) for axes in families]
+    tested = [
+        None if np.isnan(p) or at < k else p
+        for of, places in zip(together, first, strict=True)
+        for k, (p, at) in enumerate(zip(of.tolist(), places.tolist(), strict=True))
+    ]
     corrected = iter(holm(tested))
     marks = []
-    for p in each:
+    for p, places in zip(each, first, strict=True):
         is_odd = [c is not None and c < alarms for _, c in zip(p, corrected, strict=False)]
         worst = p == np.fmin.reduce(p, axis=1)[:, None]
-        marks.append(np.array(is_odd)[:, None] & ((p < _ALSO) | worst))
+        marks.append(np.array(is_odd)[places, None] & ((p < _ALSO) | worst))
     return marks
+
+
+def _first_of_two(part: Parts) -> Parts:
+    """Place of each value; for the second of two in a part, as far from their median, that of the first."""
+    places = np.arange(len(part))
+    for of in np.unique(part):
+        own = np.flatnonzero(part == of)
+        if len(own) == 2:
+            places[own] = own[0]
+    return places
 
 
 def _together(each: Float[np.ndarray, "units axes"], axes: Sequence[Values]) -> Numbers:

@@ -27,7 +27,7 @@ from allanjax.inspection import Ends, Inspection, Windows, look
 from allanjax.noise.notation import ModelLike
 from allanjax.record.columns import Axis, DeadAxis, axes_of, recognise, scales_of
 from allanjax.record.io.assembly import ChunkedRecording
-from allanjax.record.validation import Source
+from allanjax.record.validation import Source, real_numbers
 from allanjax.spectrum.cosine import SegmentedLevel, SegmentSpectra
 
 # Samples that are processed at once: a call of a compiled program costs as much as many; more need memory.
@@ -101,7 +101,7 @@ class AllanAccumulator:
             AllanjaxError: another number of axes, or values that are not finite; no sample is added then.
         """
         # A copy: a rig fills the same buffer again.
-        values = np.array(samples, float)
+        values = np.array(real_numbers(samples, Source("samples")))
         values = values[:, None] if values.ndim == 1 else values
         if values.ndim != 2 or values.shape[1] != len(self.axes):
             raise AllanjaxError(
