@@ -1,6 +1,7 @@
 """The commands for results: `allanjax export`, `horizon`, `navigate`, `statespace`, `kalman`, `spec`, …"""
 
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -82,13 +83,11 @@ def export(
     from allanjax.presentation.export.targets import TARGETS
 
     if list_:
-        targets = [
-            {"name": x.name, "title": x.title, "keys": [*dict.fromkeys(key.called for key in x.noise_keys)]}
-            for x in TARGETS.values()
-        ]
-        print_list(
-            "targets", targets, lambda name, title, keys: f"{name:19} {title}: {', '.join(keys)}", json
-        )
+        targets = []
+        for target in TARGETS.values():
+            keys = [*dict.fromkeys(key.called for key in target.noise_keys)]
+            targets.append({"name": target.name, "title": target.title, "keys": keys})
+        print_list("targets", targets, _line, json)
         return
     if to is None:
         refuse("--to: give a target, e.g. kalibr; --list shows them all")
@@ -115,6 +114,11 @@ def export(
         print_json({"schema_version": SCHEMA_VERSION, **known, "written": [str(path) for path in written]})
     if made.refused:
         sys.exit(1)
+
+
+def _line(name: str, title: str, keys: Sequence[str]) -> str:
+    """Line of a target in the list."""
+    return f"{name:19} {title}: {', '.join(keys)}"
 
 
 def _text(path: Path) -> str:

@@ -98,14 +98,10 @@ def simulate(
     from allanjax.noise.simulate import SENSORS
 
     if list_:
-        sensors = [
-            {
-                "name": x.name,
-                "description": x.description,
-                "rates_hz": [*dict.fromkeys(a.rate for a in x.axes)],
-            }
-            for x in SENSORS.values()
-        ]
+        sensors = []
+        for known in SENSORS.values():
+            rates = [*dict.fromkeys(axis.rate for axis in known.axes)]
+            sensors.append({"name": known.name, "description": known.description, "rates_hz": rates})
         print_list("sensors", sensors, _line, json)
         return
     if [preset, terms, sheet].count(None) != 2:
@@ -181,22 +177,16 @@ def demo(*, out: Annotated[Path, Parameter(alias="-o")] = Path("allanjax-demo"),
     with stage("writing results"):
         paths = write_results(fit, spectrum, out, file.stem, check)
     written = [file, *paths]
+    compared = _compared(fit, models)
     if json:
-        compared = [
-            {"axis": c.axis.name, "label": c.label, "true_si": truth, "inside": inside}
-            for c, truth, inside in _compared(fit, models)
-        ]
-        document = {
-            "schema_version": SCHEMA_VERSION,
-            "fit": with_checks(fit, check),
-            "coefficients": compared,
-        }
+        keys = ("axis", "label", "true_si", "inside")
+        rows = [dict(zip(keys, (c.axis.name, c.label, *told), strict=True)) for c, *told in compared]
+        document = {"schema_version": SCHEMA_VERSION, "fit": with_checks(fit, check), "coefficients": rows}
         print_json({**document, "written": [str(path) for path in written]})
-    else:
-        print(_as_table(_compared(fit, models)))
-    print_written(written, json)
-    if json:
+        print_written(written, json)
         return
+    print(_as_table(compared))
+    print_written(written)
     print("\nFor your own recording:\n    allanjax characterize imu.csv")
     print("If it has no time stamps and no units in its header:")
     print("    allanjax characterize imu.csv --rate 100 --gyro-unit deg/s --accel-unit m/s^2")
