@@ -149,8 +149,8 @@ class LimitCheck(ByValue):
         probability: least and greatest probability that the true value is below the limit. They are equal for
             an estimate with an interval; of what is not detected, or still falls at the end of the record,
             the greatest is 1, or that of the models extrapolated.
-        seconds: length of record [s] that would decide if the estimate stays, infinite if that is more than a
-            month; None if it is unknown.
+        seconds: length of record [s] that would decide if it gave the same value, infinite beyond a month;
+            None if it is unknown.
         reason: why it is undecided, or how far the estimate is from a typical value, in words.
     """
 
