@@ -229,7 +229,7 @@ def findings_table(critique: Critique, findings: Sequence[Finding]) -> str:
         columns = findings_columns(critique, findings, brief=True)
     about = f"nats: log-likelihood gained on held-out data; {NONE}: not applicable"
     if any(len(f.axes) > 1 for f in findings):
-        about = f"size: in the axis that is affected most; {about}"
+        about = f"size: of the most affected axis; {about}"
     return f"{as_text('', [columns])}\n\n{about}"
 
 

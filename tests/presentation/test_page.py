@@ -381,6 +381,7 @@ def thousand(tmp_path):
         group="", axis="gyro_x", sensor="gyro", coefficient="angle_random_walk", unit="deg/√h"
     )
     table = table.assign(terms="angle_random_walk", remarks="", warnings="", detected=True, measured=True)
+    table = table.assign(unit_name=names, odd_record=False, record_ratio=np.nan)
     fleet = aj.FleetResult(table.assign(outlying=values > 2.0, ratio=values), (), (), 0)
     path = tmp_path / "fleet.html"
     aj.report(fleet, path, pages={"unit 0017": "recordings/unit%200017.html"})
