@@ -420,7 +420,7 @@ def _climb_piece(
             # Sums over windows of 1, 2, 4 and 8 blocks of a level, from every start.
             doubled = {1: one}
             for width in (1, 2, 4):
-                doubled[2 * width] = stored(partial(_joined, doubled[width], doubled[width], width))
+                doubled[2 * width] = stored(partial(_joined, doubled[width], width))
             found = list[Array]()
             for k in range(_LEVELS):
                 starts = _CHUNK >> k
@@ -428,7 +428,7 @@ def _climb_piece(
                     near, next_to = (_window(doubled, width, begin, starts) for begin in (0, width))
                     found.append(square_sum(near, next_to))
                 # The windows of the next level have twice as many blocks, from every other start.
-                wide = partial(lambda eight: _joined(eight, eight, 8)[::2], doubled[8])
+                wide = partial(lambda eight: _joined(eight, 8)[::2], doubled[8])
                 doubled = {2: doubled[4][::2], 4: doubled[8][::2], 8: stored(wide)}
                 if k == 0:
                     above = doubled[8][: starts // 2 : 8] / (1 << _LEVELS)
@@ -447,9 +447,9 @@ def _climb_piece(
     return sums.T, above.T
 
 
-def _joined(left: Array, right: Array, blocks: int) -> Array:
+def _joined(windows: Array, blocks: int) -> Array:
     """Sums over windows of so many blocks, each with the window that follows it."""
-    return left[:-blocks] + right[blocks:]
+    return windows[:-blocks] + windows[blocks:]
 
 
 def _window(doubled: dict[int, Array], width: int, begin: int, starts: int) -> Array:

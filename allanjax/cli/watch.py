@@ -13,6 +13,7 @@ from cyclopts.validators import Number
 from allanjax.base.errors import FitError
 from allanjax.cli.common import (
     RESULTS,
+    exit_by,
     exit_if_failed,
     prepare,
     print_error,
@@ -29,8 +30,6 @@ if TYPE_CHECKING:
 
 # Aims that are reported without --until.
 _AIMS = ("N 1 %", "B 10 %")
-# Exit code of a record that ended before it reached the aims.
-_NOT_REACHED = 3
 
 
 def watch(
@@ -105,7 +104,7 @@ def watch(
     _end(seen.longest, directory, format, json)
     if until and not reached:
         print(f"the record ended before {' and '.join(until)} was reached", file=sys.stderr)
-        sys.exit(_NOT_REACHED)
+        exit_by(["undecided"])
 
 
 def _end(fit: "Fit", directory: Path | None, suffix: Figures, as_json: bool) -> None:

@@ -192,25 +192,27 @@ class Watch:
     def _fits_of(self, recording: ChunkedRecording) -> Iterator[Fit]:
         """Yield the fit of a piece from time to time, and when it ends."""
         so_far = AllanAccumulator(recording.rate, recording.axes, name=recording.name)
+        seen: Inspection | None = None
         fitted, due = 0, 0.0
         for samples in self._samples(recording):
             more = AllanAccumulator(recording.rate, recording.axes, start=so_far.n)
             more.update(samples)
             joined = so_far.merge(more)
-            if self._is_disturbed(joined):
+            looked = self._inspected(joined)
+            if self._is_disturbed(looked):
                 break
-            so_far, begin = joined, time.monotonic()
+            so_far, seen = joined, looked
+            begin = time.monotonic()
             if begin >= due:
-                yield self._fit(so_far)
+                yield self._fit(so_far, seen)
                 # The first fit also compiles.
                 took = time.monotonic() - begin if fitted else 0.0
                 fitted, due = so_far.n, time.monotonic() + took / _SHARE
-        if so_far.n > fitted:
-            yield self._fit(so_far)
+        if seen is not None and so_far.n > fitted:
+            yield self._fit(so_far, seen)
 
-    def _is_disturbed(self, piece: AllanAccumulator) -> bool:
+    def _is_disturbed(self, seen: Inspection) -> bool:
         """Whether a piece was disturbed, so that it ends before its last samples, which is reported."""
-        seen = self._inspected(piece)
         disturbed = bool(seen.refusal) or seen.longest_part is not None
         if disturbed:
             why = next(iter(warnings_of(seen.facts)), seen.refusal)
@@ -226,9 +228,8 @@ class Watch:
         )
         return replace(seen, facts=tuple(facts))
 
-    def _fit(self, piece: AllanAccumulator) -> Fit:
-        """Fit of a piece."""
-        seen = self._inspected(piece)
+    def _fit(self, piece: AllanAccumulator, seen: Inspection) -> Fit:
+        """Fit of a piece that has been inspected."""
         fit = piece.fit_inspected(seen, self._options.model, self._options.objective)
         if self.longest is None or fit.curve.n >= self.longest.curve.n:
             self.longest = fit
