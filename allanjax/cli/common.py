@@ -54,7 +54,7 @@ class Input(NamedTuple):
 
     def options(self, reading: ReadOptions) -> ReadOptions:
         """Options to read it with."""
-        return replace(reading, columns=self.sensor) if self.sensor else reading
+        return reading.of_sensor(self.sensor) if self.sensor else reading
 
     def read(self, reading: ReadOptions) -> Recording:
         """The recording."""

@@ -224,7 +224,7 @@ def _read_curve_and_fit(file: Input, options: FitOptions, duration: str | None) 
 def _accumulate_and_fit(file: Input, options: FitOptions) -> "Fit":
     """Fit of a file that is read in chunks."""
     from allanjax.fleet.stream import accumulate
-    from allanjax.record.io.assembly import open_chunks
+    from allanjax.record.io.chunks import open_chunks
 
     if options.regressors:
         raise AllanjaxError("--regressors needs the whole recording in memory: leave out --stream")

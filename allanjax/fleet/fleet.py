@@ -55,7 +55,7 @@ from allanjax.fleet.table import (
 from allanjax.noise.notation import ModelLike, as_model
 from allanjax.record.completion import rows_between
 from allanjax.record.io import ReadOptions, read_recording
-from allanjax.record.io.assembly import open_chunks
+from allanjax.record.io.chunks import open_chunks
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -315,7 +315,7 @@ def _characterize(path: Path, options: FitOptions) -> list[dict[str, Any]]:
     try:
         return [to_dict(options.fit(read_recording(path, options.reading)))]
     except MixedRatesError as mixed:
-        readings = [replace(options.reading, columns=sensor) for sensor in mixed.sensors]
+        readings = [options.reading.of_sensor(sensor) for sensor in mixed.sensors]
         return [to_dict(options.fit(read_recording(path, reading))) for reading in readings]
 
 

@@ -26,7 +26,7 @@ from allanjax.estimate.selection import Candidates, candidates_for, rank_terms
 from allanjax.inspection import Ends, Inspection, Windows, look
 from allanjax.noise.notation import ModelLike
 from allanjax.record.columns import Axis, DeadAxis, axes_of, recognise, scales_of
-from allanjax.record.io.assembly import ChunkedRecording
+from allanjax.record.io.chunks import ChunkedRecording
 from allanjax.record.validation import Source, real_numbers
 from allanjax.spectrum.cosine import SegmentedLevel, SegmentSpectra
 

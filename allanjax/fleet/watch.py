@@ -21,7 +21,7 @@ from allanjax.estimate.check import in_words, length_for, random_terms, trial_le
 from allanjax.fleet.stream import AllanAccumulator
 from allanjax.inspection.facts import warnings_of
 from allanjax.noise.estimate import SYMBOLS
-from allanjax.record.io.assembly import chunks_of
+from allanjax.record.io.chunks import chunks_of
 from allanjax.record.io.formats import name_of
 from allanjax.record.io.text import growing_text
 from allanjax.record.validation import Source
@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from allanjax.estimate.result import AxisFit, Fit
     from allanjax.fleet.options import FitOptions
     from allanjax.inspection import Inspection
-    from allanjax.record.io.assembly import ChunkedRecording
+    from allanjax.record.io.chunks import ChunkedRecording
 
 # Lines from which columns, units and rate are recognised; and pause [s] between two looks for more lines.
 _FIRST, _PAUSE = 200, 0.1

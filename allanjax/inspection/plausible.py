@@ -13,7 +13,7 @@ from allanjax.base.wording import duration, plain
 from allanjax.inspection.facts import Consequence, Fact, amount
 from allanjax.inspection.windows import AT_REST, DEG, OfAxes, Samples, Values, Windows, rms_within
 from allanjax.record.completion import widening
-from allanjax.record.io.timestamps import format_jitter
+from allanjax.record.io.grid import format_jitter
 from allanjax.record.recording import Axis, DeadAxis, Recording, scales_of
 from allanjax.record.units import parse_sample_unit, unit_scale
 

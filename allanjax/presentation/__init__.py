@@ -26,7 +26,6 @@ present(
         "JointFit.plot": "allanjax.presentation.fleet_figure.plot_joint",
         "Navigation.plot": "allanjax.presentation.navigation_figure.plot_navigation",
         "Posterior.plot": "allanjax.presentation.posterior_figure.plot_posterior",
-        "Recording.from_dataframe": "allanjax.record.io.given.as_recording",
         "PowerSpectrum.plot": "allanjax.presentation.spectrum_figure.plot_spectrum",
         "SampleRates.plot": "allanjax.presentation.allan_figure.plot_sample_rates",
         "SpecCheck.to_junit": "allanjax.presentation.files.to_junit",

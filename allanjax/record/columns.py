@@ -315,12 +315,11 @@ def scales_of(axes: Sequence[Axis], rate: float) -> Float[np.ndarray, " axes"]:
     return np.array([unit.scale * (rate if unit.quantity == "increment" else 1.0) for unit in units])
 
 
-def default_names(
-    count: int, units: Mapping[Sensor, str | None], remedy: str, source: Source
-) -> tuple[str, ...]:
-    """Return default names of `count` columns, implied by the sensors whose units are given.
+def default_names(count: int, units: Mapping[Sensor, str | None], source: Source) -> tuple[str, ...]:
+    """Return names of `count` columns without any, implied by the sensors whose units are given.
 
-    If they imply no names, the RecordingError suggests `remedy`.
+    Raises:
+        RecordingError: they imply none.
     """
     sensors = [sensor for sensor, unit in units.items() if unit is not None]
     if len(sensors) == 1 and count == 1:
@@ -330,7 +329,8 @@ def default_names(
     stated = " and ".join(f"{sensor}_unit=" for sensor in sensors) or "no unit"
     raise source.error(
         f"{count} columns without names and {stated} given: the columns cannot be identified; "
-        f"name them with {remedy}, e.g. gyro_x,gyro_y,gyro_z,accel_x,accel_y,accel_z"
+        "name them with columns= (--columns; names= of an array), e.g. "
+        "gyro_x,gyro_y,gyro_z,accel_x,accel_y,accel_z"
     )
 
 

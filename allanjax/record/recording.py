@@ -11,10 +11,9 @@ from jaxtyping import Bool, Float
 
 from allanjax.base.equality import ByValue
 from allanjax.base.errors import RecordingError
-from allanjax.base.late import presented
 from allanjax.base.tables import as_html, columns_from, printable
 from allanjax.base.wording import duration
-from allanjax.record.columns import Axis, Column, DeadAxis, axes_of, default_names, recognise, scales_of
+from allanjax.record.columns import Axis, DeadAxis, default_names, scales_of
 from allanjax.record.completion import (
     Gap,
     bridged,
@@ -23,16 +22,17 @@ from allanjax.record.completion import (
     gaps_within,
     notes_on,
     rows_between,
-    segments_of,
 )
+from allanjax.record.io.layout import Layout
 from allanjax.record.io.options import GapChoice, ReadOptions
-from allanjax.record.units import SI, Sensor
+from allanjax.record.io.record import Record
+from allanjax.record.io.table import Table, columns_of
+from allanjax.record.units import SI
 from allanjax.record.validation import (
     Source,
     as_columns,
     check_length,
     check_names,
-    check_rate,
     check_values,
     real_numbers,
 )
@@ -113,35 +113,25 @@ class Recording(ByValue):
             UnitError: a unit is missing or unknown.
         """
         source = Source(name or "array")
-        units: dict[Sensor, str | None] = {"gyro": gyro_unit, "accel": accel_unit}
-        table = as_columns(real_numbers(values, source), source)
-        notes: tuple[str, ...] = ()
-        if names is None:
-            names = default_names(table.shape[1], units, "names=", source)
-            notes = (f"column order taken as {', '.join(names)}",)
-        check_names(names, "names=", source)
-        if len(names) != table.shape[1]:
-            raise source.error(
-                f"{len(names)} names for {table.shape[1]} columns; give one per column in names="
-            )
-        columns = [recognise(label) for label in names]
-        extra = {key: np.asarray(column) for key, column in (auxiliary or {}).items()}
-        for key, column_values in extra.items():
-            if column_values.shape != table.shape[:1]:
+        samples = as_columns(real_numbers(values, source), source)
+        columns, labels = tuple(samples.T), None if names is None else tuple(names)
+        if labels is not None:
+            check_names(labels, "names=", source)
+            if len(labels) != len(columns):
                 raise source.error(
-                    f"auxiliary column {key!r} has the shape {column_values.shape}, not ({len(table)},)"
+                    f"{len(labels)} names for {len(columns)} columns; give one per column in names="
                 )
-        ReadOptions(gaps=gaps)  # A check of the choice.
-        if gaps != "segments":
-            return build(table, rate, columns, units, extra, name, notes, source, fill=gaps == "fill")
-        segments = segments_of(table, np.zeros(len(table), bool))
-        rows, notes = segments.longest, (*notes, *segments.notes(len(table)))
-        extra = {key: column[rows] for key, column in extra.items()}
-        source, others = source.after(rows.start), [table[other] for other in segments.others]
-        missing = segments.gaps(np.arange(len(table)) / rate, rate) or None
-        return build(
-            table[rows], rate, columns, units, extra, name, notes, source, others=others, gaps=missing
-        )
+        extra = {key: np.asarray(column) for key, column in (auxiliary or {}).items()}
+        for key, column in extra.items():
+            if column.shape != samples.shape[:1]:
+                raise source.error(
+                    f"auxiliary column {key!r} has the shape {column.shape}, not ({len(samples)},)"
+                )
+        options = ReadOptions(gyro_unit=gyro_unit, accel_unit=accel_unit, gaps=gaps)
+        if labels is None:
+            labels = default_names(len(columns), options.units, source)
+        table = Table.of((*columns, *extra.values()), (*labels, *extra), source, rate)
+        return recording_of(replace(table, auxiliary=frozenset(extra)), name, options)
 
     @property
     def n(self) -> int:
@@ -206,28 +196,35 @@ class Recording(ByValue):
             samples = np.where(self.missing, np.nan, samples)
         return pd.DataFrame(self._columns(samples, units))
 
-    @staticmethod
-    @presented
+    @classmethod
     def from_dataframe(
-        frame: "pd.DataFrame",
+        cls,
+        frame: "pd.DataFrame | Mapping[str, np.ndarray]",
         rate: float | None = None,
         *,
         gyro_unit: str | None = None,
         accel_unit: str | None = None,
         names: Sequence[str] | None = None,
+        gaps: GapChoice | None = None,
     ) -> "Recording":
         """Make a recording from a data frame, whose columns are recognised by their names as in a file.
 
         Args:
-            frame: columns such as `time [s]`, `gyro_x [deg/s]`, `temperature`; times may be the index.
+            frame: columns such as `time [s]`, `gyro_x [deg/s]`, `temperature`; times may be the index. Or a
+                mapping of columns by name.
             rate: sample rate [Hz], if there are no times.
             gyro_unit, accel_unit: units of the sensors, if labels have none.
             names: labels of the columns to use.
+            gaps: what to do about missing samples, as in `read`.
 
         Raises:
             RecordingError, UnitError: as for `read`.
         """
-        raise NotImplementedError
+        columns = columns_of(frame)
+        if columns is None:
+            raise RecordingError(f"a {type(frame).__name__} is no data frame; give columns by name")
+        table = Table.of(tuple(columns.values()), tuple(columns), Source("data frame"))
+        return recording_of(table, "", ReadOptions(rate, gyro_unit, accel_unit, names, gaps=gaps))
 
     def select(self, *keys: str) -> "Recording":
         """Recording of the named axes, in this order; `gyro` or `accel` is all axes of that sensor.
@@ -307,51 +304,43 @@ class Recording(ByValue):
         return as_html(f"{self.name or 'Recording'}: {size}", [table], self.notes)
 
 
-def build(
-    values: Float[np.ndarray, "samples axes"],
-    rate: float,
-    columns: Sequence[Column],
-    units: Mapping[Sensor, str | None],
-    auxiliary: Mapping[str, Float[np.ndarray, " samples"]],
-    name: str,
-    notes: Sequence[str],
-    source: Source,
-    jitter: float | None = None,
-    fill: bool = False,
-    others: Sequence[Float[np.ndarray, "_ axes"]] = (),
-    gaps: tuple[Gap, ...] | None = None,
-) -> Recording:
-    """Check samples in their own units and make a recording of the axes that are not dead.
+def recording_of(table: Table, name: str, options: ReadOptions) -> Recording:
+    """Make a recording from a table, with the errors of `read`."""
+    columns = table.columns()
+    layout = Layout.of(table, columns, options)
+    record = Record.of(table, layout, columns, options)
+    return _recording(table, layout, record, name)
 
-    With `fill`, samples that are nan are filled in given the others; `others` are other segments, separated
-    by `gaps`.
-    """
-    axes, own_notes = axes_of(columns, units, source)
-    rate = check_rate(rate, source)
-    labels = [column.label for column in columns]
-    lost = np.isnan(values) if fill else np.zeros(values.shape, bool)
-    if fill:
+
+def _recording(table: Table, layout: Layout, record: Record, name: str) -> Recording:
+    """Make a recording of the axes that are not dead, in which lost samples are filled in given the others."""
+    axes, lost = layout.axes, record.lost
+    values, gaps = record.values, record.gaps
+    if lost.any():
         values = np.array([bridged(*column) for column in zip(values.T, lost.T, strict=True)]).T
-    every = axes
-    values, axes, dead, left_out = _living(values, axes, values[:1].ravel(), labels, source)
-    kept, scales = [axis in axes for axis in every], scales_of(axes, rate)
-    lost = lost[:, kept]
+    labels = [column.label for column in layout.columns]
+    values, axes, dead, left_out = _living(values, axes, values[0], labels, record.source)
+    kept = [axis in axes for axis in layout.axes]
+    scales, lost = scales_of(axes, record.rate), lost[:, kept]
+    notes = (*table.notes, *layout.notes, *record.notes)
     if lost.any():
         values = completed(values, lost)
-        left_out = (*notes_on(lost, rate, [axis.name for axis in axes]), *left_out)
+        notes += notes_on(lost, record.rate, [axis.name for axis in axes])
         gaps = gaps_of(lost)
+    others = [other[:, kept] for other in record.others]
     return Recording(
-        values * scales,
-        rate,
-        axes,
-        MappingProxyType(dict(auxiliary)),
-        name,
-        (*notes, *own_notes, *left_out),
-        dead,
-        jitter,
-        lost if lost.any() else None,
-        tuple(other[:, kept] * scales for other in others if (np.ptp(other[:, kept], axis=0) > 0.0).all()),
-        gaps,
+        values=values * scales,
+        rate=record.rate,
+        axes=axes,
+        auxiliary=MappingProxyType(dict(record.auxiliary)),
+        name=name,
+        notes=(*notes, *left_out),
+        dead=dead,
+        jitter=record.jitter,
+        missing=lost if lost.any() else None,
+        others=tuple(x * scales for x in others if (np.ptp(x, axis=0) > 0.0).all()),
+        gaps=gaps,
+        begun=record.begun,
     )
 
 

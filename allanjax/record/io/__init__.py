@@ -30,6 +30,7 @@ def read(
     topic: str | None = None,
     instance: int | None = None,
     gaps: GapChoice | None = None,
+    force: bool = False,
 ) -> Recording:
     """Read a static recording: text, NumPy, Parquet, HDF5, MATLAB, TDMS, a ROS bag or a flight log.
 
@@ -49,7 +50,8 @@ def read(
         columns: column names to read, optionally with other units, or a sensor, `gyro`; or one name per
             column in order, with `-` to skip one; a list or comma-separated.
         time: name of the column of time stamps, or of a sample counter if the rate is known; `none` or
-            False to ignore them; `uniform` for evenly spaced samples at their mean rate.
+            False to ignore them; `uniform` for evenly spaced samples at their mean rate, also after a name,
+            `t_boot,uniform`.
         time_unit: unit of the time stamps: s, ms, us, ns, min, h, `0.1 ms`.
         start: first time to read, in s from the file's first sample.
         stop: time to stop before, in s from the file's first sample.
@@ -69,20 +71,20 @@ def read(
     return read_recording(
         path,
         ReadOptions(
-            rate, gyro_unit, accel_unit, columns, time, time_unit, start, stop, topic, instance, gaps
+            rate, gyro_unit, accel_unit, columns, time, time_unit, start, stop, topic, instance, gaps, force
         ),
     )
 
 
 def read_recording(path: str | os.PathLike[str], options: ReadOptions, label: str | None = None) -> Recording:
     """Read a static recording with these options, as `read` does; messages name the file `label`."""
-    from allanjax.record.io.assembly import assemble
     from allanjax.record.io.formats import format_of, name_of
+    from allanjax.record.recording import recording_of
     from allanjax.record.validation import Source
 
     path = Path(path)
     source = Source(label or str(path))
-    return assemble(format_of(path, source).table(path, source, options), name_of(path), options)
+    return recording_of(format_of(path, source).table(path, source, options), name_of(path), options)
 
 
 def write(recording: Recording, path: str | os.PathLike[str]) -> None:

@@ -8,11 +8,11 @@ import numpy as np
 from jaxtyping import ArrayLike, Float
 
 from allanjax.base.errors import AllanjaxError, RecordingError
-from allanjax.record.columns import names_of, recognise
+from allanjax.record.columns import names_of
 from allanjax.record.io import read
-from allanjax.record.io.assembly import ChunkedRecording, assemble
-from allanjax.record.io.options import GapChoice, ReadOptions
-from allanjax.record.io.table import Table
+from allanjax.record.io.chunks import ChunkedRecording
+from allanjax.record.io.options import GapChoice
+from allanjax.record.io.table import columns_of
 from allanjax.record.recording import Axis, Recording
 from allanjax.record.validation import Source, as_columns, check_rate, check_values, real_numbers
 
@@ -57,11 +57,10 @@ def as_recording(
         return data
     if isinstance(data, str | os.PathLike):
         return read(data, rate=rate, gyro_unit=gyro_unit, accel_unit=accel_unit, columns=names, gaps=gaps)
-    options = ReadOptions(rate, gyro_unit, accel_unit, names, gaps=gaps)
-    columns = _columns(data)
-    if columns is not None:
-        table = Table.of(tuple(columns.values()), tuple(columns), Source("data frame"))
-        return assemble(table, "", options)
+    if columns_of(data) is not None:
+        return Recording.from_dataframe(
+            data, rate, gyro_unit=gyro_unit, accel_unit=accel_unit, names=names, gaps=gaps
+        )
     values, rate = _samples(data, rate)
     if gyro_unit is None and accel_unit is None and names is None:
         raise AllanjaxError(
@@ -84,7 +83,7 @@ def samples_of(
     Raises:
         RecordingError, UnitError, AllanjaxError: as for `as_recording`; another shape.
     """
-    labelled = isinstance(data, Recording | str | os.PathLike) or _columns(data) is not None
+    labelled = isinstance(data, Recording | str | os.PathLike) or columns_of(data) is not None
     if labelled or not gyro_unit is accel_unit is names is None:
         recording = as_recording(data, rate, gyro_unit, accel_unit, names)
         return recording.values, recording.rate, recording.axes
@@ -105,28 +104,6 @@ def living_samples(
     name = data.name or "recording" if isinstance(data, Recording) else "array"
     check_values(values, names_of(axes, values.shape[1]), Source(name))
     return values, rate, axes
-
-
-def _columns(data: Any) -> dict[str, np.ndarray] | None:
-    """Return the columns of a data frame (and its index if that holds times) or a mapping; else None."""
-    index: Any = getattr(data, "index", None)
-    times = {}
-    if hasattr(index, "dtype"):
-        label = str(index.name or ("time" if index.dtype.kind == "M" else ""))
-        if recognise(label).role == "time":
-            times = {label: np.asarray(index)}
-    if isinstance(data, Mapping):
-        columns = {str(label): _column(column, str(label)) for label, column in data.items()}
-        return columns if all(column.ndim for column in columns.values()) else None
-    if not hasattr(data, "columns"):
-        return None
-    return times | {str(label): _column(data[label], str(label)) for label in data.columns}
-
-
-def _column(values: Any, label: str) -> np.ndarray:
-    """A column as an array; a masked or complex one as numbers."""
-    special = isinstance(values, np.ma.MaskedArray) or np.iscomplexobj(values)
-    return real_numbers(values, Source(f"column {label!r}")) if special else np.asarray(values)
 
 
 def _samples(data: Any, rate: float | None) -> tuple[np.ndarray, float]:

@@ -31,7 +31,8 @@ class ReadOptions:
     columns
         Columns to read, or a name for each column in order with - to skip one: time,gyro_x,-,gyro_z.
     time
-        Column of time stamps; none ignores them; uniform assumes even samples at their mean rate.
+        Column of time stamps; none ignores them; uniform assumes even samples at their mean rate,
+        also after a column: t_boot,uniform.
     time_unit
         Unit of the time stamps: s, ms, us, ns, min, h, or '0.1 ms'.
     start
@@ -46,6 +47,9 @@ class ReadOptions:
     gaps
         What to do about missing samples: error (default); segments, fit the segments between gaps
         jointly; fill, replace them by simulated samples.
+    force
+        With --time uniform: take evenly spaced samples even where the stamps show that samples are
+        missing, or that the rate changes.
     """
 
     rate: float | None = None
@@ -59,6 +63,7 @@ class ReadOptions:
     topic: str | None = None
     instance: int | None = None
     gaps: GapChoice | None = None
+    force: bool = False
 
     def __post_init__(self) -> None:
         start, stop = self.start, self.stop
@@ -78,9 +83,24 @@ class ReadOptions:
         return self.gaps in ("segments", "fill")
 
     @property
+    def timeless(self) -> bool:
+        """Whether time stamps are ignored."""
+        return self.time is False or self._time_words == ["none"]
+
+    @property
     def uniform(self) -> bool:
         """Whether samples are assumed to be evenly spaced, whatever their time stamps."""
-        return isinstance(self.time, str) and self.time.casefold() == "uniform"
+        return "uniform" in self._time_words
+
+    @property
+    def time_column(self) -> str | None:
+        """Name of the column of time stamps, if it is given."""
+        words = [word for word in self._time_words if word != "uniform"]
+        return words[0] if words and not self.timeless else None
+
+    @property
+    def _time_words(self) -> list[str]:
+        return [word.strip().casefold() for word in (self.time or "").split(",") if word.strip()]
 
     @property
     def units(self) -> "dict[Sensor, str | None]":
@@ -92,7 +112,13 @@ class ReadOptions:
         origin = self.start or 0.0
         return replace(self, start=origin + part[0], stop=origin + part[1])
 
+    def of_sensor(self, sensor: str) -> "ReadOptions":
+        """Options for one sensor of the recording that these read."""
+        other = "accel_unit" if sensor == "gyro" else "gyro_unit"
+        return replace(self, columns=sensor, **{other: None})
+
     def given(self) -> dict[str, Any]:
         """Names and values of the options that are given."""
         values = {option.name: getattr(self, option.name) for option in fields(self)}
-        return {name: value for name, value in values.items() if value is not None}
+        defaults = {option.name: option.default for option in fields(self)}
+        return {name: value for name, value in values.items() if value is not defaults[name]}

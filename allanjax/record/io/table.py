@@ -13,9 +13,10 @@ import numpy as np
 from jaxtyping import Float, Shaped
 
 from allanjax.base.errors import AllanjaxError, RecordingError
+from allanjax.record.columns import recognise
 from allanjax.record.io.options import ReadOptions
 from allanjax.record.units import Sensor
-from allanjax.record.validation import Source, bad_cells
+from allanjax.record.validation import Source, bad_cells, real_numbers
 
 #: Columns of equal length: numbers, datetime64, or objects where a text file has text.
 Columns: TypeAlias = tuple[Shaped[np.ndarray, " rows"], ...]
@@ -38,6 +39,7 @@ class Table:
         rate: sample rate in Hz that the file states, if any.
         notes: actions of the reader that users should know.
         units: unit of each sensor as the format defines it, for use without a unit in labels or options.
+        auxiliary: labels of columns that are no axes, whatever their names.
     """
 
     rows: Callable[[int], Iterator[Columns]]
@@ -47,6 +49,7 @@ class Table:
     rate: float | None = None
     notes: tuple[str, ...] = ()
     units: Mapping[Sensor, str] = field(default_factory=dict)
+    auxiliary: frozenset[str] = frozenset()
 
     @classmethod
     def of(
@@ -178,3 +181,24 @@ def as_float(
         text += ", a repeated header (delete that line)" if str(cell).strip() == label else ""
         raise bad_cells(label, bad.size, int(bad[0]), source, None if pd.isna(cell) else text)
     return numbers
+
+
+def columns_of(data: Any) -> dict[str, np.ndarray] | None:
+    """Return the columns of a data frame (and its index if that holds times) or a mapping; else None."""
+    if isinstance(data, Mapping):
+        columns = {str(label): _as_array(column, str(label)) for label, column in data.items()}
+        return columns if all(column.ndim for column in columns.values()) else None
+    if not hasattr(data, "columns"):
+        return None
+    columns = {}
+    index = data.index
+    label = str(index.name or ("time" if index.dtype.kind == "M" else ""))
+    if recognise(label).role == "time":
+        columns[label] = np.asarray(index)
+    return columns | {str(label): _as_array(data[label], str(label)) for label in data.columns}
+
+
+def _as_array(values: Any, label: str) -> np.ndarray:
+    """A column as an array; a masked or complex one as numbers."""
+    special = isinstance(values, np.ma.MaskedArray) or np.iscomplexobj(values)
+    return real_numbers(values, Source(f"column {label!r}")) if special else np.asarray(values)

@@ -1,0 +1,284 @@
+"""Recordings that are read in chunks, again in each iteration."""
+
+import os
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+
+from allanjax.record.columns import Axis, scales_of
+from allanjax.record.completion import rows_between
+from allanjax.record.io.formats import format_of, name_of
+from allanjax.record.io.grid import Stamps
+from allanjax.record.io.layout import Layout
+from allanjax.record.io.options import ReadOptions
+from allanjax.record.io.record import check_rows, no_rate_error, own_rows, rows_of_times, stated_rate
+from allanjax.record.io.table import Columns, Table, as_float, is_numeric
+from allanjax.record.io.times import IGNORE, MAX_RATE_DIFFERENCE, Clock, Seconds
+from allanjax.record.validation import (
+    Source,
+    bad_cells,
+    check_finite,
+    check_length,
+    constant_error,
+    usable,
+)
+
+# Time stamps before a chunk that are checked together with those of the chunk.
+_BEFORE = 1024
+
+
+@dataclass(frozen=True, eq=False)
+class ChunkedRecording:
+    """Recording in a file whose samples are read again in each iteration.
+
+    An iteration yields arrays [≤ chunk, axes] in SI (rad/s and m/s²), in order; together they are the
+    `values` that `read` returns plus dead axes (constant, or nan throughout), which `read` leaves out. It
+    raises RecordingError at the first bad value, gap in the time stamps or damaged row, and at the end if all
+    axes are dead.
+
+    Attributes:
+        rate: sample rate in Hz.
+        axes: axes, one per column.
+        name: name of the file without its suffix.
+        notes: assumptions and findings of the reader that users should know.
+        n: number of samples, if it is known before they are read.
+    """
+
+    rate: float
+    axes: tuple[Axis, ...]
+    name: str
+    notes: tuple[str, ...]
+    n: int | None
+    _part: "_PartOfFile"
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the axes."""
+        return tuple(axis.name for axis in self.axes)
+
+    def __repr__(self) -> str:
+        axes = ", ".join(f"{axis.name} [{axis.unit}]" for axis in self.axes)
+        size = "" if self.n is None else f"{self.n} samples "
+        return f"<ChunkedRecording {self.name!r}: {axes}; {size}at {self.rate:g} Hz, not read yet>"
+
+    @property
+    def own_scales(self) -> Float[np.ndarray, " axes"]:
+        """Factor of each axis from its own unit to the SI rate."""
+        return scales_of(self.axes, self.rate)
+
+    def __iter__(self) -> Iterator[Float[np.ndarray, "chunk axes"]]:
+        labels = [column.label for column in self._part.layout.columns]
+        place, count = self._part.table.source, 0
+        first, varies, silent = np.zeros(len(labels)), np.zeros(len(labels), bool), np.ones(len(labels), bool)
+        for axes, _, source in self._part.pieces(self.rate):
+            pairs = zip(axes, labels, strict=True)
+            values = np.column_stack([as_float(x, label, source) for x, label in pairs])
+            numbers = usable(values)
+            for k, label in enumerate(labels):
+                if silent[k] and not numbers[:, k].any():
+                    values[:, k] = np.nan
+                    continue
+                if silent[k] and count:
+                    raise bad_cells(label, count, 0, place)
+                if not numbers[:, k].all():
+                    check_finite(values[:, k], label, source)
+            silent &= ~numbers.any(axis=0)
+            if not count:
+                place, first = source, values[0].copy()
+            count += len(values)
+            if not varies.all():
+                varies |= ((values != first) & numbers).any(axis=0)
+            values *= self.own_scales
+            yield values
+        check_length(count, place)
+        if silent.all():
+            raise bad_cells(labels[0], count, 0, place)
+        if not varies.any():
+            k = int(np.argmin(silent))
+            raise constant_error(labels[k], float(first[k]), place)
+
+
+def read_chunks(path: str | os.PathLike[str], *, chunk: int = 2**18, **reading: Any) -> ChunkedRecording:
+    """Open a static recording to read it in chunks: text (also gzip), .npy, Parquet or HDF5.
+
+    Columns are recognised as in `read`. The sample rate is that of the time stamps in the first chunk unless
+    it is given; later stamps must agree with it. Columns that are not axes are left out.
+
+    Args:
+        path: the file.
+        chunk: rows to read at a time.
+        **reading: as in `read`: rate, gyro_unit, accel_unit, columns, time, time_unit, start, stop,
+            topic, instance.
+
+    Raises:
+        RecordingError: the file or the arguments are unusable, as far as the first chunk shows.
+        UnitError: a unit is missing, unknown or contradictory.
+    """
+    return open_chunks(path, ReadOptions(**reading), chunk)
+
+
+def open_chunks(
+    path: str | os.PathLike[str], options: ReadOptions, chunk: int = 2**18, label: str | None = None
+) -> ChunkedRecording:
+    """Open a recording with these options, as `read_chunks` does; messages name the file `label`."""
+    path = Path(path)
+    source = Source(label or str(path))
+    kind = format_of(path, source)
+    if not kind.in_chunks:
+        raise source.error(
+            f"a file of this kind ({kind.name}) cannot be read in chunks: read it as a whole with read() "
+            "(without --stream), or save it as .npy, Parquet, HDF5 or CSV, e.g. with "
+            "write(read(path), 'imu.parquet')"
+        )
+    return chunks_of(kind.table(path, source, options), name_of(path), options, chunk)
+
+
+def chunks_of(table: Table, name: str, options: ReadOptions, chunk: int) -> ChunkedRecording:
+    """The recording in a table, to read it in chunks with these options, as `read_chunks` does."""
+    source = table.source
+    if chunk < 1:
+        raise source.error(f"chunk must be at least 1 row, not {chunk}; 2**18 is usual")
+    if options.allows_gaps:
+        raise source.error(
+            "gaps= (--gaps) needs the whole record: read it with read() (without --stream), or read a part "
+            "without gaps with start= and stop= (--start, --stop)"
+        )
+    first = next(table.rows(chunk), None)
+    if first is None:
+        raise table.no_rows()
+    layout = Layout.of(table, first, options)
+    rate, notes = stated_rate(table, options.rate)
+    part = _PartOfFile(table, layout, None, options.start, options.stop, chunk)
+    if layout.clock:
+        found = _timed(part, layout.stamps(first), first, rate, options)
+    elif rate is None:
+        raise no_rate_error(source)
+    else:
+        found = _counted(part, rate)
+    if layout.auxiliary:
+        notes += (f"not read: {', '.join(column.name for column in layout.auxiliary)}",)
+    every = (*table.notes, *layout.notes, *notes, *found.notes)
+    return ChunkedRecording(found.rate, layout.axes, name, every, found.n, found.part)
+
+
+@dataclass(frozen=True)
+class _Opened:
+    """Part of a file with its rate [Hz], notes, and number of samples if that is known."""
+
+    part: "_PartOfFile"
+    rate: float
+    notes: tuple[str, ...]
+    n: int | None
+
+
+def _counted(part: "_PartOfFile", rate: float) -> _Opened:
+    """Open samples without time stamps."""
+    n, source = part.table.n, part.table.source
+    if n is None:
+        return _Opened(part, rate, (), None)
+    rows = rows_between(n, rate, part.start, part.stop)
+    check_rows(rows, n / rate, source)
+    check_length(rows.stop - rows.start, source)
+    whole = rows == slice(0, n)
+    notes = () if whole else (f"samples {rows.start:,} to {rows.stop - 1:,} of {n:,} read",)
+    return _Opened(part, rate, notes, rows.stop - rows.start)
+
+
+def _timed(
+    part: "_PartOfFile", stamps: Columns, first: Columns, rate: float | None, options: ReadOptions
+) -> _Opened:
+    """Open samples with time stamps, of which these are the first."""
+    table, layout, source = part.table, part.layout, part.table.source
+    clock = Clock.of(layout.clock, stamps, options.time_unit, rate, source)
+    part = replace(part, clock=clock)
+    columns = [first[column.index] for column in layout.columns]
+    if all(map(is_numeric, columns)):
+        seconds, _ = clock.seconds(stamps, source)
+        if not own_rows(np.column_stack(columns), seconds, layout.columns, source).all():
+            raise source.error("only read() (without --stream) leaves out rows that repeat previous values")
+    times, place = part.first_times()
+    check_length(len(times), place)
+    step = clock.step(stamps)
+    grid = Stamps(times, step, clock.label, place, more=True).grid(
+        options.rate, gaps=False, uniform=options.uniform, force=options.force
+    )
+    part = replace(part, stamped=grid.stamped, step=step)
+    if grid.even:
+        part = replace(part, layout=layout.without_clock)
+    note = grid.note + (f", from the first {part.chunk} samples" if len(times) == part.chunk else "")
+    n = table.n if part.start is None and part.stop is None else None
+    return _Opened(part, grid.rate, (*clock.notes, note), n)
+
+
+@dataclass(frozen=True)
+class _PartOfFile:
+    """Part of a file from `start` to `stop` [s], read chunk by chunk."""
+
+    table: Table
+    layout: Layout
+    clock: Clock | None
+    start: float | None
+    stop: float | None
+    chunk: int
+    stamped: float | None = None
+    step: float = 0.0
+
+    def first_times(self) -> tuple[Seconds, Source]:
+        """Return the times [s] of the first samples, at most a chunk, and their place in the file."""
+        times, place = np.zeros(0), self.table.source
+        for _, more, source in self.pieces(None):
+            place = place if len(times) else source
+            times = np.concatenate([times, more])[: self.chunk]
+            if len(times) == self.chunk:
+                break
+        return times, place
+
+    def pieces(self, rate: float | None) -> Iterator[tuple[Columns, Seconds, Source]]:
+        """Yield axes in the file's units, times [s] and place in the file of successive rows of the part.
+
+        Time stamps are checked against their rate if it is known.
+        Without stamps, times follow from the rate, which is then known.
+        """
+        row, elapsed, before = 0, 0.0, np.zeros(0)
+        last: Columns = ()
+        for columns in self.table.rows(self.chunk):
+            size, stamps = len(columns[0]), self.layout.stamps(columns)
+            if self.clock is not None and stamps:
+                # Times continue from the last stamps of the previous chunk.
+                joined = tuple(map(np.concatenate, zip(last, stamps, strict=True))) if last else stamps
+                place = self.table.source.after(row - (len(joined[0]) - size))
+                times = elapsed + self.clock.seconds(joined, place)[0][-size:]
+            else:
+                times = (row + np.arange(size)) / (rate or 1.0)
+            rows = rows_of_times(times, None if len(before) else self.start, self.stop)
+            if rows.stop > rows.start:
+                together = np.concatenate([before, times[rows]])
+                place = self.table.source.after(row + rows.start)
+                if stamps and self.stamped is not None and len(together) > 1:
+                    self._check_rate_kept(together, place.after(-len(before)))
+                before = together[-_BEFORE:]
+                axes = tuple(columns[column.index][rows] for column in self.layout.columns)
+                yield axes, times[rows], place
+            if rows.stop < size:
+                return
+            row, elapsed = row + size, float(times[-1])
+            last = tuple(x[-1:] for x in stamps)
+
+    def _check_rate_kept(self, times: Seconds, source: Source) -> None:
+        """Raise RecordingError if later times are unusable or have another rate than the first."""
+        assert self.stamped is not None
+        label = self.layout.clock_label
+        later = Stamps(times, self.step, label, source, more=True).grid(
+            None, gaps=False, uniform=False, force=False
+        )
+        if abs(later.stamped / self.stamped - 1.0) > MAX_RATE_DIFFERENCE:
+            raise source.error(
+                f"column {label!r} has {self.stamped:.6g} Hz at first, but {later.stamped:.6g} Hz from "
+                f"{source.locate(0)} on; read a part with one rate with start= and stop= (--start, --stop), "
+                f"or {IGNORE}",
+                "rate",
+            )

@@ -1,0 +1,413 @@
+"""Grid: the even times at which samples were taken, as the evidence of their stamps decides.
+
+Stamps may be even, or even but rounded, or times of arrival that scatter about even ones: then no sample is
+missing. They may be whole multiples of an interval apart: then samples are missing. They may be pieces of
+different rates. What they exclude is refused, also where a user asks for it, unless it is forced.
+"""
+
+from contextlib import suppress
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from allanjax.base.errors import RecordingError
+from allanjax.base.wording import duration, percent, plain
+from allanjax.record.completion import MOST_MISSING
+from allanjax.record.io.times import IGNORE, MAX_RATE_DIFFERENCE, Seconds
+from allanjax.record.validation import MIN_SAMPLES, Source, check_length
+
+# An interval longer than the median by this factor is a gap if the stamps after it are half an interval later
+# than expected from those before it; else a stamp is late. So many stamps on either side are compared.
+_GAP, _ABOUT = 1.5, 8
+# Largest rms jitter of the other intervals, over their mean.
+_MAX_JITTER = 0.2
+# Share of long intervals above which gaps are not told one by one.
+_MANY_GAPS = 0.05
+# Distance from a whole multiple of the interval within which an interval is one; the least share of such
+# intervals; and the most intervals below half the usual one, per long one: a late stamp makes one of these.
+_NEAR_WHOLE, _MOSTLY, _EARLY = 0.2, 0.95, 0.25
+# Deviations from an even grid, in intervals, below which no sample can be missing.
+_WITHIN = 0.75
+# Deviations from an even grid are bounded if means over this many parts scatter less than single stamps do, by
+# this factor; a walk of the stamps would grow by more. The fewest stamps from which this can be told.
+_PARTS, _BOUNDED, _FEWEST = 16, 0.5, 512
+# Parts in which the interval is compared to find pieces of different rates, and the most pieces.
+_BLOCKS, _PIECES = 64, 5
+
+
+class Grid(NamedTuple):
+    """Even times of samples.
+
+    Attributes:
+        rate: sample rate [Hz].
+        note: where it comes from.
+        jitter: rms jitter of the intervals between stamps [s].
+        places: numbers of the samples on the grid, missing ones included.
+        stamped: rate according to the stamps [Hz], which may differ from a given rate.
+        even: whether the samples are even, whatever their stamps; then no sample is missing.
+    """
+
+    rate: float
+    note: str
+    jitter: float
+    places: Int[np.ndarray, " samples"]
+    stamped: float
+    even: bool = False
+
+
+class Piece(NamedTuple):
+    """A part of a record with a rate of its own: its first stamp, the one after its last, and the rate [Hz]."""
+
+    first: int
+    end: int
+    rate: float
+
+
+@dataclass(frozen=True)
+class Stamps:
+    """Times of samples [s], as they were stamped.
+
+    Attributes:
+        seconds: times in order.
+        step: resolution of the stamps [s]; 0 if unknown.
+        label: label of their column.
+        source: their origin.
+        more: whether further ones follow, so that the longest part without gaps is unknown.
+    """
+
+    seconds: Seconds
+    step: float
+    label: str
+    source: Source
+    more: bool = False
+
+    def grid(self, rate: float | None, *, gaps: bool, uniform: bool, force: bool) -> Grid:
+        """Return the even times that the stamps tell.
+
+        Args:
+            rate: given rate [Hz], which has precedence; a note tells if the stamps' differs.
+            gaps: whether samples may be missing.
+            uniform: whether the samples are said to be even.
+            force: whether what the stamps exclude is accepted.
+
+        Raises:
+            RecordingError: the stamps do not tell even times; with the remedies that work.
+        """
+        if uniform:
+            if not force:
+                self._refuse_excluded()
+            return self._even(rate, "for evenly spaced samples")
+        found = self._stamped(rate, gaps)
+        if isinstance(found, Grid):
+            return found
+        how = self.why_even()
+        if how:
+            return self._even(rate, how)
+        pieces = self._pieces()
+        if pieces:
+            raise self._error(self._of_pieces(pieces), "rate")
+        raise found
+
+    def _stamped(self, rate: float | None, gaps: bool) -> "Grid | RecordingError":
+        """Return the grid if the stamps are nearly even, or the error if they are not."""
+        times = self.seconds
+        intervals = np.diff(times)
+        if (intervals <= 0.0).any():
+            return self._error(self._backwards(), "jitter")
+        typical = float(np.median(intervals))
+        long = intervals > _GAP * typical
+        # If there are many, late stamps cannot be identified by their neighbours.
+        if not gaps or np.mean(long) <= _MANY_GAPS:
+            long = gaps_in(times)
+        if long.any() and self.why_even():
+            return self._error("", "jitter")
+        jitter, regular = float(np.std(intervals[~long])), float(np.mean(intervals[~long]))
+        steps = np.where(long, np.maximum(np.rint(intervals / regular), 2.0), 1.0)
+        on_grid, lost = float(np.std(intervals - steps * regular)), int(steps.sum()) - len(intervals)
+        if gaps:
+            jitter = on_grid
+        filled = on_grid <= _MAX_JITTER * regular and lost <= MOST_MISSING * (lost + len(times))
+        drawn = lost if filled else 0
+        if jitter > _MAX_JITTER * regular or (np.mean(long) > _MANY_GAPS and not gaps):
+            return self._error(self._irregular(long, lost, drawn, gaps), "jitter")
+        if np.any(long) and not gaps:
+            return self._error(
+                f"{self._gap(np.flatnonzero(long), typical, drawn)}, or if no sample is missing, {IGNORE}",
+                "gaps",
+            )
+        if self._unsteadiness() > MAX_RATE_DIFFERENCE and self._pieces():
+            return self._error("", "rate")
+        places = np.concatenate([[0], np.cumsum(steps)]).astype(int)
+        measured = int(places[-1]) / float(times[-1] - times[0])
+        note = f"{measured:.9g} Hz from column {self.label!r}, jitter {format_jitter(jitter)}"
+        if rate is not None:
+            differ = abs(measured / rate - 1.0) > MAX_RATE_DIFFERENCE
+            note = f"{rate:.9g} Hz as given, {'not' if differ else 'and'} {note}"
+        return Grid(rate or measured, f"sample rate {note}", jitter, places, measured)
+
+    def _even(self, rate: float | None, how: str) -> Grid:
+        """Return the grid of even samples at the mean rate of the stamps, or at the given rate."""
+        times = self.seconds
+        span = float(times[-1] - times[0])
+        if not span > 0.0:
+            raise self._error(f"the times in column {self.label!r} do not increase; {IGNORE}", "jitter")
+        mean = (len(times) - 1) / span
+        note = f"{mean:.9g} Hz, the mean of column {self.label!r} {how}"
+        told = note if rate is None else f"{rate:.9g} Hz as given (stamps: {note})"
+        jitter = float(np.std(np.diff(times)))
+        return Grid(rate or mean, f"sample rate {told}", jitter, np.arange(len(times)), mean, even=True)
+
+    def why_even(self) -> str:
+        """Return why the samples must be even although their stamps are not, as part of a note; "" if not."""
+        times, n = self.seconds, len(self.seconds)
+        if not times[-1] > times[0]:
+            return ""
+        number = np.arange(n) - 0.5 * (n - 1)
+        interval = float(number @ times / (number @ number))
+        off = times - times.mean() - interval * number
+        spread = float(np.ptp(off))
+        # The line through the stamps is known to a part of their deviations.
+        if self.step and spread <= 1.1 * self.step:
+            return f"for even samples, whose stamps are rounded to {duration(self.step)}"
+        # A missing sample would shift those after it by a whole interval.
+        if spread < _WITHIN * interval:
+            return f"for even samples, as all stamps are within {duration(spread)} of even ones"
+        if n < _FEWEST or self._unsteadiness() > MAX_RATE_DIFFERENCE or self._lost():
+            return ""
+        means = off[: n // _PARTS * _PARTS].reshape(_PARTS, -1).mean(axis=1)
+        if float(np.std(means)) < _BOUNDED * float(np.std(off)) and spread < 0.1 * n * interval:
+            return (
+                f"for even samples, whose stamps scatter by {duration(float(np.std(off)))} about even times"
+            )
+        return ""
+
+    def _lost(self) -> int:
+        """Return how many samples are missing if intervals are whole multiples of the usual one; else 0."""
+        intervals = np.diff(self.seconds)
+        typical = float(np.median(intervals))
+        if not typical > 0.0:
+            return 0
+        # The mean of single intervals is exact where these are rounded to steps.
+        typical = float(np.mean(intervals[abs(intervals / typical - 1.0) < 0.5]))
+        ratio = intervals / typical
+        steps = np.rint(ratio)
+        long, early = steps >= 2.0, ratio < 0.5
+        near = _NEAR_WHOLE + self.step / typical
+        if not long.any() or np.mean(abs(ratio - steps)[long] < near) < _MOSTLY:
+            return 0
+        return int((steps[long] - 1.0).sum()) if early.sum() <= _EARLY * long.sum() else 0
+
+    def _pieces(self) -> list[Piece]:
+        """Return the pieces of a record whose rate changes a few times; [] if it does not, or changes slowly."""
+        intervals = np.diff(self.seconds)
+        if len(intervals) < 4 * _BLOCKS:
+            return []
+        usual = []
+        for block in np.array_split(intervals, _BLOCKS):
+            typical = np.median(block)
+            usual.append(float(np.mean(block[abs(block - typical) <= 0.5 * typical])))
+        edges = np.linspace(0, len(intervals), _BLOCKS + 1).astype(int)
+        # A block within which the rate changes has an interval of its own.
+        levels = [k for k in range(_BLOCKS - 1) if abs(usual[k + 1] / usual[k] - 1.0) < MAX_RATE_DIFFERENCE]
+        if len(levels) < _BLOCKS - 1 - 2 * _PIECES:
+            return []
+        runs: list[list[int]] = [[levels[0]]]
+        for k in levels[1:]:
+            same = abs(usual[k] / usual[runs[-1][-1]] - 1.0) < MAX_RATE_DIFFERENCE
+            if same:
+                runs[-1].append(k)
+            else:
+                runs.append([k])
+        if not 2 <= len(runs) <= _PIECES:
+            return []
+        found, first = [], 0
+        for run, following in zip(runs, [*runs[1:], None], strict=True):
+            end = len(self.seconds)
+            own = float(np.mean([usual[k] for k in run]))
+            if following is not None:
+                other = float(np.mean([usual[k] for k in following]))
+                between = slice(edges[run[-1]], edges[following[0] + 1])
+                is_other = abs(intervals[between] - other) < abs(intervals[between] - own)
+                # The place where most intervals before it are of one rate, and most after it of the other.
+                agree = np.cumsum(np.where(is_other, -1, 1))
+                end = between.start + int(np.argmax(agree)) + 2
+            found.append(Piece(first, end, 1.0 / own))
+            first = end
+        return found
+
+    def _refuse_excluded(self) -> None:
+        """Raise RecordingError if the stamps exclude that samples are evenly spaced."""
+        lost = self._lost()
+        forced = "; if the stamps are wrong, add force=True (--force)"
+        if lost and not self.why_even():
+            raise self._error(f"the samples are not evenly spaced: {self._missing(lost)}{forced}", "gaps")
+        if self._unsteadiness() > MAX_RATE_DIFFERENCE:
+            pieces = self._pieces()
+            if pieces:
+                raise self._error(f"{self._of_pieces(pieces)}{forced}", "rate")
+
+    def _missing(self, lost: int) -> str:
+        """Return that samples are missing, and what to do, in words."""
+        n = len(self.seconds)
+        share = lost / (lost + n)
+        text = (
+            f"intervals are whole multiples of {duration(float(np.median(np.diff(self.seconds))))}, so that "
+            f"{lost:,} of {lost + n:,} samples ({percent(share)}) are missing"
+        )
+        segment = "read the longest part without with gaps='segments' (--gaps segments)"
+        if share > MOST_MISSING:
+            return f"{text}; at most {percent(MOST_MISSING)} can be filled in: {segment}"
+        return f"{text}; fill them in with gaps='fill' (--gaps fill), or {segment}"
+
+    def _of_pieces(self, pieces: list[Piece]) -> str:
+        """Return the rates of pieces, and how to read the longest, in words."""
+        times = self.seconds
+        told = []
+        for piece in pieces:
+            until = "" if piece.end == len(times) else f" until {plain(times[piece.end - 1], 6)} s"
+            told.append(f"{piece.rate:.4g} Hz{until}")
+        longest = max(pieces, key=lambda piece: times[piece.end - 1] - times[piece.first])
+        cut = []
+        if longest.first:
+            cut.append(f"start={_after(times[longest.first]):.3f} (--start)")
+        if longest.end < len(times):
+            cut.append(f"stop={_before(times[longest.end - 1]):.3f} (--stop)")
+        return (
+            f"column {self.label!r} has {', then '.join(told)}, but a recording has one rate; read a part, the "
+            f"longest with {' and '.join(cut)}"
+        )
+
+    def _irregular(self, long: Bool[np.ndarray, " n"], lost: int, drawn: int, gaps: bool) -> str:
+        """Return how irregular stamps are, and what to do, in words."""
+        times, intervals = self.seconds, np.diff(self.seconds)
+        column = f"column {self.label!r}"
+        missing = self._lost()
+        if missing and not gaps and not self.more:
+            return f"{column}: {self._missing(missing)}"
+        fill = "if samples are missing, fill them in with gaps='fill' (--gaps fill); "
+        return (
+            f"{column} is irregular: the mean interval is {np.mean(intervals):.6g} s, the rms jitter "
+            f"{np.std(intervals):.3g} s, and {percent(float(np.mean(long)))} of the intervals are gaps "
+            f"(longer than {_GAP} times the median); jitter up to {percent(_MAX_JITTER)} is accepted; "
+            f"{'' if missing else self._evenly()}"
+            f"{fill if drawn and not gaps and not self.more else ''}{IGNORE}; do not resample, which smooths "
+            "the noise"
+        )
+
+    def _unsteadiness(self) -> float:
+        """Return the relative difference of the mean intervals of both halves, beyond the effect of jitter."""
+        times = self.seconds
+        half, span = len(times) // 2, float(times[-1] - times[0])
+        drift = abs(float(times[-1] - times[-1 - half]) - float(times[half] - times[0]))
+        beyond = max(drift - 4.0 * float(np.std(np.diff(times))), 0.0)
+        return beyond / (0.5 * span) if span > 0.0 else np.inf
+
+    def _evenly(self) -> str:
+        """Return the remedy for evenly spaced samples with uneven stamps, if the mean rate is steady."""
+        if self._unsteadiness() > MAX_RATE_DIFFERENCE:
+            return ""
+        times = self.seconds
+        mean = (len(times) - 1) / float(times[-1] - times[0])
+        how = "pass time='uniform' (--time uniform); "
+        return f"if the samples are evenly spaced (at {mean:.6g} Hz on average), {how}"
+
+    def _backwards(self) -> str:
+        """Return a message on stamps that repeat or go back, and what can be read instead."""
+        times = self.seconds
+        intervals, uniform = np.diff(times), self._evenly()
+        back = np.flatnonzero(intervals < 0.0)
+        first = int(back[0] if back.size else np.argmax(intervals == 0.0)) + 1
+        what, why, segments = "repeats the previous time", "the stamps are too coarse", ""
+        if back.size:
+            what = f"goes back by {-intervals[first - 1]:.6g} s"
+            why = "late stamps" if uniform else "the clock was set, or packets are out of order"
+            longest = max(np.split(times, np.flatnonzero(after_gaps(times))), key=len)
+            with suppress(RecordingError):
+                check_length(0 if self.more else len(longest), self.source)
+                Stamps(longest, self.step, self.label, self.source).grid(
+                    None, gaps=False, uniform=False, force=False
+                )
+                segments = f"read the longest part without ({len(longest)} samples) with gaps='segments' "
+                segments += "(--gaps segments); "
+        return (
+            f"column {self.label!r} {what} at {self.source.locate(first)} ({np.sum(intervals <= 0.0)} in "
+            f"total: {why}); {uniform}{segments}{IGNORE}"
+        )
+
+    def _gap(self, gaps: Int[np.ndarray, " gaps"], typical: float, drawn: int) -> str:
+        """Return a message on gaps after these samples, and what to read instead.
+
+        `drawn` is how many missing samples can be filled in.
+        """
+        times, first = self.seconds, int(gaps[0])
+        before, after = times[first], times[first + 1]
+        text = (
+            f"column {self.label!r} has a gap of {after - before:.6g} s ({(after - before) / typical:.3g} "
+            f"intervals) before {self.source.locate(first + 1)}"
+        )
+        if self.more:
+            return (
+                f"{text}; read the part before it with stop={_before(before):.3f} (--stop) or after it with "
+                f"start={_after(after):.3f} (--start)"
+            )
+        edges = np.concatenate([[-1], gaps, [len(times) - 1]])
+        longest = int(np.argmax(np.diff(edges)))
+        begin, end = times[edges[longest] + 1], times[edges[longest + 1]]
+        remedies = []
+        if np.diff(edges)[longest] > MIN_SAMPLES:
+            remedies.append(
+                f"read a part without gaps, the longest with start={_after(begin):.3f}, "
+                f"stop={_before(end):.3f} (--start, --stop) or gaps='segments' (--gaps segments)"
+            )
+        if drawn:
+            remedies.append(
+                f"fill in the {drawn} missing of {drawn + len(times)} samples with gaps='fill' (--gaps fill)"
+            )
+        count = "the only gap" if len(gaps) == 1 else f"the first of {len(gaps)} gaps"
+        return f"{text}, {count}; {', or '.join(remedies) or 'too few samples remain for a recording'}"
+
+    def _error(self, message: str, about: str) -> RecordingError:
+        return self.source.error(message, about)
+
+
+def after_gaps(times: Seconds) -> Bool[np.ndarray, " samples"]:
+    """Return which samples follow a gap in the times, or follow the clock being set back."""
+    return np.concatenate([[False], gaps_in(times) | (np.diff(times) < 0.0)])
+
+
+def regular_intervals(times: Seconds) -> Float[np.ndarray, " intervals"]:
+    """Return the intervals between successive times that are not gaps."""
+    intervals = np.diff(times)
+    return intervals[~gaps_in(times)] if intervals.size else intervals
+
+
+def format_jitter(jitter: float) -> str:
+    """Return a jitter [s] as text; below a nanosecond it is due to rounding of the stamps."""
+    return f"{plain(jitter * 1e6, 3)} µs rms" if jitter >= 1e-9 else "below 1 ns"
+
+
+def gaps_in(times: Seconds) -> Bool[np.ndarray, " intervals"]:
+    """Return which of the intervals are gaps."""
+    intervals = np.diff(times)
+    typical = np.median(intervals)
+    gaps = intervals > _GAP * typical
+    if typical <= 0.0:
+        return gaps
+    rows = np.flatnonzero(gaps)[:, None]
+    # Delay of each nearby stamp, in intervals, against what the stamp before the interval implies.
+    about = np.clip(rows + np.arange(-_ABOUT, _ABOUT) + 1, 0, len(intervals))
+    delays = (times[about] - times[rows]) / typical - (about - rows)
+    gaps[rows[:, 0]] = np.median(delays[:, _ABOUT:], axis=1) - np.median(delays[:, :_ABOUT], axis=1) > 0.5
+    return gaps
+
+
+def _after(time: float) -> float:
+    """Return the time rounded up to ms, to avoid a gap before it; a whole ms is unchanged."""
+    return float(np.ceil(time * 1e3 - 1e-7) / 1e3) + 0.0
+
+
+def _before(time: float) -> float:
+    """Return the time rounded down to ms, to avoid a gap after it; a whole ms is unchanged."""
+    return float(np.floor(time * 1e3 + 1e-7) / 1e3)

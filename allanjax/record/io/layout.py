@@ -1,0 +1,324 @@
+"""Layout: which columns of a table are axes, which are its clock, and in which units."""
+
+import difflib
+import functools
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Float, Shaped
+
+from allanjax.base.errors import UnitError
+from allanjax.record.columns import (
+    Axis,
+    Column,
+    axes_of,
+    by_unit,
+    default_names,
+    distinct,
+    recognise,
+    scales_of,
+    split_unit,
+)
+from allanjax.record.io.options import ReadOptions
+from allanjax.record.io.table import Columns, Table, is_numeric
+from allanjax.record.units import SENSORS, convert
+from allanjax.record.validation import check_names
+
+# Entries in a list of columns that skip a column.
+_SKIP = ("-", "_", "")
+
+
+@dataclass(frozen=True)
+class Layout:
+    """Columns of a table by what they are.
+
+    Attributes:
+        columns: columns of the axes.
+        axes: these axes, with the units of their samples.
+        clock: columns of the time stamps: none, one, or seconds and nanoseconds.
+        auxiliary: other columns.
+        notes: assumptions that users should know.
+    """
+
+    columns: tuple[Column, ...]
+    axes: tuple[Axis, ...]
+    clock: tuple[Column, ...]
+    auxiliary: tuple[Column, ...]
+    notes: tuple[str, ...]
+
+    @classmethod
+    def of(cls, table: Table, first: Columns, options: ReadOptions) -> "Layout":
+        """Find the layout from the columns that are asked for, or else from labels, or else from units.
+
+        Args:
+            table: the table.
+            first: its first rows, or all.
+            options: options of reading.
+
+        Raises:
+            RecordingError, UnitError: no axis, no unit, an ambiguous name, or an option without a use.
+        """
+        found, notes = _found(table, first, options)
+        clock, clock_notes = _clock(table, found, first, options)
+        in_clock = {column.index for column in clock}
+        sensors = {column.sensor for column in found if column.role == "axis"}
+        named = []
+        for column in found:
+            axis = by_unit(column)
+            named.append(column if axis.sensor in sensors else axis)
+        columns = tuple(c for c in named if c.role == "axis" and c.index not in in_clock)
+        _check_is_recording(table, found, columns, clock)
+        columns = distinct(columns, table.source)
+        _check_all_used(table, columns, clock, first, options)
+        axes, axis_notes = axes_of(columns, table.units_with(options), table.source)
+        used = in_clock | {column.index for column in columns}
+        auxiliary = tuple(c for c in found if c.role not in ("axis", "time") and c.index not in used)
+        return cls(columns, axes, clock, auxiliary, (*notes, *clock_notes, *_notes_on(columns), *axis_notes))
+
+    @property
+    def clock_label(self) -> str:
+        """Label of the time stamps."""
+        return " + ".join(column.label for column in self.clock)
+
+    @property
+    def without_clock(self) -> "Layout":
+        """The layout of evenly spaced samples."""
+        return replace(self, clock=())
+
+    def stamps(self, columns: Columns) -> tuple[Shaped[np.ndarray, " rows"], ...]:
+        """Return the time stamps in these columns of the table."""
+        return tuple(columns[column.index] for column in self.clock)
+
+    def scales(self, rate: float) -> Float[np.ndarray, " axes"]:
+        """Factor of each axis from its own unit to the SI rate, at a sample rate [Hz]."""
+        return scales_of(self.axes, rate)
+
+
+def _found(table: Table, first: Columns, options: ReadOptions) -> tuple[list[Column], list[str]]:
+    """Return the columns of a table that may be used, and notes."""
+    notes = []
+    if options.columns is not None:
+        found = _chosen(table, len(first), options.columns)
+    elif table.labels is not None:
+        repeated = _repeated(table.labels)
+        if repeated:
+            raise table.source.error(
+                f"the header names {', '.join(map(repr, repeated))} more than once; correct it, "
+                "or name all columns with columns= (--columns)"
+            )
+        found = _recognised(table.labels)
+    else:
+        names = default_names(len(first), options.units, table.source)
+        found = _recognised(names)
+        notes.append(f"the columns have no names; they are assumed to be {', '.join(names)}")
+    return [_as_time(column, first[column.index], table) for column in found], notes
+
+
+def _recognised(labels: Sequence[str]) -> list[Column]:
+    """Return the columns recognised by their labels."""
+    return [replace(recognise(label), index=i) for i, label in enumerate(labels)]
+
+
+def _as_time(column: Column, values: Shaped[np.ndarray, " rows"], table: Table) -> Column:
+    """Return a column of dates or in a unit of time as one of times; others unchanged."""
+    if column.label in table.auxiliary:
+        return replace(column, role="auxiliary", sensor=None)
+    if column.role != "auxiliary":
+        return column
+    is_time = values.dtype.kind == "M"
+    if not is_time and column.unit is not None and is_numeric(values) and len(values) > 1:
+        # Most durations beside samples, such as a latency, do not increase from row to row.
+        is_time = _is_unit_of_time(column.unit) and np.mean(np.diff(values.astype(float)) >= 0.0) > 0.9
+    return replace(column, role="time") if is_time else column
+
+
+@functools.cache
+def _is_unit_of_time(unit: str) -> bool:
+    try:
+        convert(1.0, unit, "s")
+    except UnitError:
+        return False
+    return True
+
+
+def _repeated(names: Sequence[str]) -> list[str]:
+    """Return the names that occur more than once."""
+    return sorted({name for name in names if names.count(name) > 1})
+
+
+def _chosen(table: Table, count: int, columns: str | Sequence[str]) -> list[Column]:
+    """Return the columns that are asked for: names of the header, or names of all columns by position."""
+    check_names(columns, "columns= (--columns)", table.source)
+    entries = [entry.strip() for entry in (columns.split(",") if isinstance(columns, str) else columns)]
+    names = [entry for entry in entries if entry not in _SKIP]
+    repeated = _repeated(names)
+    if repeated:
+        raise table.source.error(f"columns= names {', '.join(repeated)} more than once; name each once")
+    if table.labels is not None:
+        matches = [_match(table, name, len(entries) == count) for name in names]
+        if len(names) == len(entries) and all(matches):
+            return _picked(table.labels, names, matches)
+        unknown = [name for name, match in zip(names, matches, strict=True) if not match]
+        if len(entries) != count and unknown:
+            stems = [split_unit(label)[0] for label in table.labels]
+            near = difflib.get_close_matches(unknown[0], stems, 1)
+            hint = f" (did you mean {near[0]}?)" if near else ""
+            raise table.source.error(
+                f"columns= (--columns) asks for {', '.join(unknown)}{hint}, but the file has "
+                f"{', '.join(table.labels)}; choose from these, or give one name per column in order, with - "
+                "to skip one"
+            )
+    if len(entries) != count:
+        has = "no names" if table.labels is None else f"the names {', '.join(table.labels)}"
+        raise table.source.error(
+            f"columns= has {len(entries)} entries, but the file has {count} columns, with {has}; "
+            "list names of the header, or one entry per column, with - to skip one"
+        )
+    found = [c for c in _recognised(entries) if entries[c.index] not in _SKIP]
+    # Without a unit from the user, that of the header applies.
+    units = [None] * count if table.labels is None else [split_unit(label)[1] for label in table.labels]
+    return [replace(c, unit=c.unit or units[c.index]) for c in found]
+
+
+def _picked(labels: Sequence[str], names: Sequence[str], matches: Sequence[Sequence[int]]) -> list[Column]:
+    """Return the columns of a header that these names match, and its time stamps."""
+    units = {}
+    for name, match in zip(names, matches, strict=True):
+        units |= dict.fromkeys(match, split_unit(name)[1])
+    columns = _recognised(labels)
+    kept = [c for c in columns if c.index in units or c.role in ("time", "counter")]
+    return [replace(c, unit=units.get(c.index) or c.unit) for c in kept]
+
+
+def _match(table: Table, name: str, by_position: bool) -> tuple[int, ...]:
+    """Return the indices of the columns whose label, label without unit, or recognised name is `name`.
+
+    The name of a sensor matches all its axes. If columns may be named by position, an ambiguous name matches
+    none.
+    """
+    labels = table.labels or ()
+    columns = [recognise(label) for label in labels]
+    stem = split_unit(name)[0]
+    keys: list[tuple[str, Iterable[str]]] = [
+        (name, (label.strip() for label in labels)),
+        (stem, (split_unit(label)[0] for label in labels)),
+        (stem, (column.name for column in columns)),
+        (stem, (column.sensor or "" for column in columns)),
+    ]
+    for wanted, candidates in keys:
+        found = tuple(i for i, key in enumerate(candidates) if key.casefold() == wanted.casefold())
+        if len(found) > 1 and stem not in SENSORS:
+            if by_position:
+                return ()
+            listed = ", ".join(repr(labels[i]) for i in found)
+            raise table.source.error(f"columns= names {name!r}, which matches {listed}; use the full name")
+        if found:
+            return found
+    return ()
+
+
+def _clock(
+    table: Table, found: Sequence[Column], first: Columns, options: ReadOptions
+) -> tuple[tuple[Column, ...], list[str]]:
+    """Return the column of time stamps, or those of seconds and nanoseconds, and notes; empty without any."""
+    if options.timeless:
+        return (), []
+    wanted = options.time_column
+    if wanted is not None:
+        for key in ("label", "name"):
+            named = [column for column in found if getattr(column, key).casefold() == wanted.casefold()]
+            if len(named) == 1:
+                return (named[0],), []
+        listed = ", ".join(column.label for column in found)
+        raise table.source.error(
+            f"no time column {wanted!r} among {listed}; correct time= (--time), or ignore the time stamps "
+            "with time='none' (--time none)"
+        )
+    # An empty column is not one.
+    candidates = [c for c in found if c.role == "time" and (first[c.index] == first[c.index]).any()]
+    if not candidates and (options.rate or table.rate):
+        # Without a rate, the unit of a counter is unknown.
+        counters = [c for c in found if c.role == "counter" and first[c.index].dtype.kind in "iu"]
+        candidates = [c for c in counters if np.median(np.diff(first[c.index].astype(float))) > 0.0][:1]
+    parts = {column.time_part: column for column in candidates if column.time_part is not None}
+    choices: list[tuple[Column, ...]] = [(column,) for column in candidates]
+    for (prefix, unit), column in parts.items():
+        if unit == "s" and (prefix, "ns") in parts:
+            choices.append((column, parts[prefix, "ns"]))
+    if not choices:
+        return (), []
+
+    def merit(choice: tuple[Column, ...]) -> tuple[int, int, bool]:
+        # A pair is one clock; the stamp of a header is the time of sampling, others may be that of arrival.
+        return len(choice), -_unevenness(first[choice[0].index]), "header" in choice[0].label.lower()
+
+    best = max(choices, key=merit)
+    ignored = [column.label for column in candidates if column not in best]
+    if not ignored:
+        return best, []
+    return best, [f"times from {' and '.join(c.label for c in best)}; {', '.join(ignored)} ignored"]
+
+
+def _unevenness(stamps: Shaped[np.ndarray, " rows"]) -> int:
+    """Return how uneven stamps are: 0 if intervals agree within a fifth, 1 if not, 2 if they never change."""
+    if stamps.dtype.kind == "M":
+        stamps = stamps.astype("datetime64[ns]").astype(np.int64)
+    if not is_numeric(stamps) or len(stamps) < 3:
+        return 0
+    intervals = np.diff((stamps - stamps[0]).astype(float))
+    typical = float(np.median(intervals))
+    if not intervals.any():
+        return 2
+    return int(not typical > 0.0 or np.mean(abs(intervals / typical - 1.0) > 0.2) > 0.1)
+
+
+def _check_is_recording(
+    table: Table, found: Sequence[Column], axes: Sequence[Column], clock: Sequence[Column]
+) -> None:
+    """Raise RecordingError if a table has no axes, or is an Allan curve."""
+    clusters = next((c for c in found if c.role == "cluster time"), None)
+    if clusters is not None and not clock:
+        raise table.source.error(
+            f"column {clusters.label!r} has cluster times, so that this is an Allan curve and no recording; "
+            "read it with read_curve, or give --curve to characterize and compare"
+        )
+    if not axes:
+        raise table.source.error(
+            f"no gyro or accelerometer column among {', '.join(column.label for column in found)}; "
+            "name the columns with columns= (--columns), e.g. time,gyro_x,gyro_y,gyro_z"
+        )
+
+
+def _check_all_used(
+    table: Table, axes: Sequence[Column], clock: Sequence[Column], first: Columns, options: ReadOptions
+) -> None:
+    """Raise RecordingError if a unit was given that nothing has."""
+    sensors = {column.sensor for column in axes}
+    for sensor, unit in options.units.items():
+        if unit is not None and sensor not in sensors:
+            read = ", ".join(column.label for column in axes)
+            others = "" if table.labels is None else f" among {', '.join(table.labels)}"
+            name = "accelerometer" if sensor == "accel" else sensor
+            raise table.source.error(
+                f"{sensor}_unit= (--{sensor}-unit) is given, but there is no {name}{others}; omit it, or name "
+                f"the columns with columns= (--columns), one entry per column (axes are now {read})"
+            )
+    if options.time_unit is not None and not clock:
+        raise table.source.error(
+            "time_unit= (--time-unit) is given, but no time stamps are read; omit it, or name their column "
+            "with time= (--time)"
+        )
+
+
+def _notes_on(axes: Sequence[Column]) -> list[str]:
+    """Return notes on a missing axis and on names."""
+    notes = []
+    for sensor in SENSORS:
+        missing = {f"{sensor}_{axis}" for axis in "xyz"} - {axis.name for axis in axes}
+        if len(missing) == 1:
+            notes.append(f"no column for {missing.pop()}; the other two axes are read")
+    renamed = [f"{c.name} from {c.label!r}" for c in axes if split_unit(c.label)[0] != c.name]
+    if renamed:
+        notes.append(f"axes: {', '.join(renamed)}")
+    return notes

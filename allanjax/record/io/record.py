@@ -1,0 +1,319 @@
+"""Record: the rows of a table that are samples, at their times, without those that are none."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from allanjax.base.errors import MixedRatesError, RecordingError
+from allanjax.record.columns import Column
+from allanjax.record.completion import Gap, on_grid, segments_of, without_repeats
+from allanjax.record.io.grid import Grid, Stamps, after_gaps
+from allanjax.record.io.layout import Layout
+from allanjax.record.io.options import ReadOptions
+from allanjax.record.io.table import Columns, Table, as_float, is_numeric
+from allanjax.record.io.times import MAX_RATE_DIFFERENCE, Clock, Seconds
+from allanjax.record.validation import Source, check_length, check_rate
+
+# Shares of rows: the least and the largest that are samples of a sensor that shares a table, and the share of
+# these (of all rows if two sensors alternate) at even intervals, to this part of the interval.
+_LEAST_FRESH, _MOST_FRESH, _REGULAR, _SAME = 0.02, 0.92, 0.95, 0.45
+
+Values = Float[np.ndarray, "samples axes"]
+
+
+class Rows(NamedTuple):
+    """Some rows of a table, as numbers.
+
+    Attributes:
+        values: samples in the units of the table.
+        auxiliary: other columns by name.
+        seconds: times [s] from the first row of the table.
+        source: origin of the rows.
+    """
+
+    values: Values
+    auxiliary: Mapping[str, Float[np.ndarray, " samples"]]
+    seconds: Seconds
+    source: Source
+
+    def taken(self, rows: slice | Bool[np.ndarray, " samples"]) -> "Rows":
+        """Return some of the rows."""
+        auxiliary = {name: column[rows] for name, column in self.auxiliary.items()}
+        source = self.source.after(rows.start or 0) if isinstance(rows, slice) else self.source.at(rows)
+        return Rows(self.values[rows], auxiliary, self.seconds[rows], source)
+
+    @property
+    def interval(self) -> float:
+        """Mean interval of the times [s]."""
+        return float(self.seconds[-1] - self.seconds[0]) / (len(self.seconds) - 1)
+
+
+@dataclass(frozen=True)
+class Record:
+    """Samples of a table on an even grid.
+
+    Attributes:
+        values: samples in the units of the table; nan where one is missing.
+        lost: which samples are missing and to be filled in given the others.
+        rate: sample rate [Hz].
+        auxiliary: other columns by name.
+        others: other segments of the record, separated by missing samples.
+        gaps: where samples are missing between segments; None if that is unknown without time stamps.
+        jitter: rms jitter of the time stamps [s]; None without time stamps.
+        begun: UNIX time of the first sample [s], if the stamps tell it.
+        notes: assumptions and findings that users should know.
+        source: origin of the samples.
+    """
+
+    values: Values
+    lost: Bool[np.ndarray, "samples axes"]
+    rate: float
+    auxiliary: Mapping[str, Float[np.ndarray, " samples"]]
+    others: tuple[Values, ...]
+    gaps: tuple[Gap, ...] | None
+    jitter: float | None
+    begun: float | None
+    notes: tuple[str, ...]
+    source: Source
+
+    @classmethod
+    def of(cls, table: Table, layout: Layout, columns: Columns, options: ReadOptions) -> "Record":
+        """Return the samples in the columns of a table.
+
+        Raises:
+            RecordingError: values or times that are no numbers, too few samples, or times that are not even.
+        """
+        rate, rate_notes = stated_rate(table, options.rate)
+        times = Times.of(table, layout, columns, rate, options)
+        part, part_notes = _part(table, layout, columns, times.seconds, options)
+        notes = [*rate_notes, *times.notes, *part_notes]
+        if layout.clock:
+            part, own_notes = _own(part, layout, options)
+            notes += own_notes
+        stamps = times.of_rows(part)
+        even = stamps is None or options.uniform or bool(options.allows_gaps and stamps.why_even())
+        others: tuple[Rows, ...] = ()
+        gaps: tuple[Gap, ...] | None = None if stamps is None or options.uniform else ()
+        if options.gaps == "segments":
+            part, others, between, segment_notes = _segments(part, even)
+            gaps, notes = between or gaps, [*notes, *segment_notes]
+            stamps = times.of_rows(part)
+        jitter = None
+        if stamps is not None:
+            grid = stamps.grid(
+                options.rate,
+                gaps=options.allows_gaps and not even,
+                uniform=options.uniform,
+                force=options.force,
+            )
+            part, rate, jitter = _on(grid, part), grid.rate, grid.jitter
+            notes.append(grid.note)
+        if rate is None:
+            raise no_rate_error(table.source)
+        begun = None if times.begun is None else times.begun + float(part.seconds[0])
+        lost = np.isnan(part.values) if options.gaps == "fill" else np.zeros(part.values.shape, bool)
+        return cls(
+            part.values,
+            lost,
+            rate,
+            part.auxiliary,
+            tuple(other.values for other in others),
+            gaps,
+            jitter,
+            begun,
+            tuple(notes),
+            part.source,
+        )
+
+
+class Times(NamedTuple):
+    """Times of all rows of a table.
+
+    Attributes:
+        seconds: times [s] from the first row.
+        clock: the clock that tells them; None if they follow from the rate.
+        step: resolution of the stamps [s].
+        begun: UNIX time of the first row [s], if it is known.
+        notes: assumptions that users should know.
+    """
+
+    seconds: Seconds
+    clock: Clock | None
+    step: float
+    begun: float | None
+    notes: tuple[str, ...]
+
+    @classmethod
+    def of(
+        cls, table: Table, layout: Layout, columns: Columns, rate: float | None, options: ReadOptions
+    ) -> "Times":
+        """Return the times of the rows in these columns of a table."""
+        if not layout.clock:
+            if rate is None:
+                raise no_rate_error(table.source)
+            return cls(np.arange(len(columns[0])) / rate, None, 0.0, None, ())
+        stamps = layout.stamps(columns)
+        clock = Clock.of(layout.clock, stamps, options.time_unit, rate, table.source)
+        seconds, notes = clock.seconds(stamps, table.source)
+        return cls(seconds, clock, clock.step(stamps), clock.begun(stamps), (*clock.notes, *notes))
+
+    def of_rows(self, rows: Rows) -> Stamps | None:
+        """Return the stamps of some rows; None without a clock."""
+        if self.clock is None:
+            return None
+        return Stamps(rows.seconds, self.step, self.clock.label, rows.source)
+
+
+def _part(
+    table: Table, layout: Layout, columns: Columns, seconds: Seconds, options: ReadOptions
+) -> tuple[Rows, list[str]]:
+    """Return the rows from start to stop, as numbers, and notes."""
+    n, source, notes = len(seconds), table.source, []
+    rows = rows_of_times(seconds, options.start, options.stop)
+    check_rows(rows, float(seconds[-1]), source)
+    source = source.after(rows.start)
+    check_length(rows.stop - rows.start, source)
+    if rows != slice(0, n):
+        notes.append(f"samples {rows.start:,} to {rows.stop - 1:,} of {n:,} read")
+    # Each axis is contiguous in memory, since most of the work is axis by axis.
+    axes = [as_float(columns[c.index][rows], c.label, source, options.allows_gaps) for c in layout.columns]
+    auxiliary = {}
+    for column in layout.auxiliary:
+        numbers, note = _auxiliary(column, columns[column.index][rows], source)
+        notes.append(note)
+        if numbers is not None:
+            auxiliary[column.name] = numbers
+    return Rows(np.array(axes).T, auxiliary, seconds[rows], source), notes
+
+
+def _auxiliary(
+    column: Column, values: Float[np.ndarray, " rows"], source: Source
+) -> tuple[Float[np.ndarray, " rows"] | None, str]:
+    """Return an auxiliary column as floats, or None if it is text, and a note on it."""
+    if not is_numeric(values):
+        cell = str(values[0])[:40]
+        return None, f"column {column.label!r} skipped as it is not numeric: {cell!r} at {source.locate(0)}"
+    numbers = values.astype(float)
+    unit = f" [{column.unit}]" if column.unit else ""
+    missing = np.count_nonzero(~np.isfinite(numbers))
+    return numbers, f"auxiliary: {column.name}{unit}{f' ({missing} values missing)' if missing else ''}"
+
+
+def _own(part: Rows, layout: Layout, options: ReadOptions) -> tuple[Rows, list[str]]:
+    """Return the rows in which sensors were sampled, each once, and notes on the others."""
+    notes = []
+    kept = np.ones(len(part.values), bool)
+    if not options.uniform:
+        kept = without_repeats(part.values, part.seconds)
+    if not kept.all():
+        notes.append(f"{np.count_nonzero(~kept)} packets that were recorded twice are left out")
+    own = own_rows(part.values[kept], part.seconds[kept], layout.columns, part.source)
+    if not own.all():
+        notes.append(f"{np.count_nonzero(~own)} rows that repeat the previous values are left out")
+    kept[kept] = own
+    found = part if kept.all() else part.taken(kept)
+    check_length(len(found.values), found.source)
+    return found, notes
+
+
+def own_rows(
+    values: Values, seconds: Seconds, columns: Sequence[Column], source: Source
+) -> Bool[np.ndarray, " samples"]:
+    """Return the rows of a table in which its sensors were sampled.
+
+    If several sensors share a table, a row repeats the previous values of those that were not sampled then.
+
+    Raises:
+        MixedRatesError: the sensors have different rates.
+    """
+    fresh = {}
+    for sensor in dict.fromkeys(column.sensor for column in columns):
+        own = values[:, [column.sensor == sensor for column in columns]]
+        fresh[sensor] = np.concatenate([[False], (own[1:] != own[:-1]).any(axis=1)])
+    # A sensor that does not change is dead.
+    living = [rows for rows in fresh.values() if rows.mean() > _LEAST_FRESH]
+    in_turn = len(living) == 2 and np.mean(living[0] ^ living[1]) > _REGULAR
+    for sensor, rows in fresh.items():
+        if _LEAST_FRESH < rows.mean() < _MOST_FRESH:
+            # A sensor with its own rate has nearly all intervals the same.
+            intervals = np.diff(seconds[rows])
+            typical = np.median(intervals)
+            if in_turn or np.mean(abs(intervals - typical) < _SAME * typical) > _REGULAR:
+                continue
+        fresh[sensor] = np.ones(len(values), bool)
+    one, other = (*fresh.values(), *fresh.values())[:2]
+    if np.mean(one ^ other) <= 1.0 - _REGULAR:
+        return one | other
+    rates = {sensor: rows.sum() / max(seconds[-1] - seconds[0], 1e-9) for sensor, rows in fresh.items()}
+    listed = " and ".join(f"{sensor} at {rate:.4g} Hz" for sensor, rate in rates.items())
+    error = source.error(
+        f"the sensors were sampled at different times, {listed} (other rows repeat the previous values), but "
+        "a recording has one rate; read one sensor with columns='gyro' or columns='accel' (--columns gyro, "
+        "--columns accel)"
+    )
+    raise MixedRatesError(str(error), tuple(map(str, fresh)))
+
+
+def _segments(part: Rows, even: bool) -> tuple[Rows, tuple[Rows, ...], tuple[Gap, ...], tuple[str, ...]]:
+    """Return the longest segment without missing samples, other segments, the gaps between, and notes."""
+    n = len(part.values)
+    segments = segments_of(part.values, np.zeros(n, bool) if even else after_gaps(part.seconds))
+    longest = part.taken(segments.longest)
+    check_length(len(longest.values), longest.source)
+    others = [part.taken(rows) for rows in segments.others]
+    same = [abs(other.interval / longest.interval - 1.0) < MAX_RATE_DIFFERENCE for other in others]
+    kept = [rows for rows, agrees in zip(segments.others, same, strict=True) if agrees]
+    segments = segments._replace(others=tuple(kept))
+    gaps = segments.gaps(part.seconds, 1.0 / longest.interval)
+    used = tuple(other for other, agrees in zip(others, same, strict=True) if agrees)
+    return longest, used, gaps, segments.notes(n)
+
+
+def _on(grid: Grid, part: Rows) -> Rows:
+    """Return the samples on their grid, nan where one is missing."""
+    values, auxiliary = on_grid(part.values, part.auxiliary, grid.places)
+    return part._replace(values=values, auxiliary=auxiliary)
+
+
+def no_rate_error(source: Source) -> RecordingError:
+    """Return the RecordingError for samples without a rate and without time stamps."""
+    return source.error(
+        "no sample rate; pass rate= in Hz (--rate), or name a column of time stamps with time= (--time) "
+        "or in the header, e.g. `time [s]`"
+    )
+
+
+def check_rows(rows: slice, duration: float, source: Source) -> None:
+    """Raise `RecordingError` if no rows remain of a recording that lasts `duration` [s]."""
+    if rows.start == rows.stop:
+        raise source.error(
+            f"start= and stop= (--start, --stop) leave no sample of its {duration:.6g} s; give times within "
+            "the record"
+        )
+
+
+def stated_rate(table: Table, given: float | None) -> tuple[float | None, tuple[str, ...]]:
+    """Return the given sample rate [Hz], with a note if the file states another; else that of the file."""
+    if given is None:
+        return None if table.rate is None else check_rate(table.rate, table.source), ()
+    rate = check_rate(given, table.source)
+    if table.rate is None or abs(table.rate / rate - 1.0) <= MAX_RATE_DIFFERENCE:
+        return rate, ()
+    return rate, (f"sample rate {rate:g} Hz as given, although the file states {table.rate:g} Hz",)
+
+
+def rows_of_times(seconds: Seconds, start: float | None, stop: float | None) -> slice:
+    """Return the rows from the first time at or after `start` up to the first at or after `stop`, in s."""
+    # Tolerance of half a nanosecond for the rounding of stamps.
+    first = 0 if start is None else _first_at(seconds, start - 5e-10)
+    last = len(seconds) if stop is None else _first_at(seconds, stop - 5e-10)
+    return slice(first, max(first, last))
+
+
+def _first_at(seconds: Seconds, moment: float) -> int:
+    """Return the index of the first time at or after a moment."""
+    late = seconds >= moment
+    return int(np.argmax(late)) if late.any() else len(seconds)

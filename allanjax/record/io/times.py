@@ -1,0 +1,346 @@
+"""Times: the seconds that time stamps tell, whatever they are written as."""
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from jaxtyping import Float, Shaped
+
+from allanjax.base.errors import UnitError
+from allanjax.record.columns import Column
+from allanjax.record.io.table import as_float, is_numeric
+from allanjax.record.units import convert, same_unit
+from allanjax.record.validation import Source
+
+Seconds = Float[np.ndarray, " samples"]
+Stamps = Sequence[Shaped[np.ndarray, " samples"]]
+#: What stamps are: numbers in a unit, seconds and nanoseconds, dates, or times of the day.
+Kind = Literal["numbers", "pair", "dates", "clock"]
+
+#: Remedy where stamps are of no use.
+IGNORE = "ignore the stamps with time='none' and rate= (--time none --rate)"
+#: Largest relative difference between two statements of the sample rate.
+MAX_RATE_DIFFERENCE = 0.01
+# Numbers at which counters restart from zero: 8 to 32 bits, and a second, a minute, an hour, a day, a week;
+# in units, or thousandths and millionths of them. The most samples that may be lost at a restart.
+_TURNS = (2**8, 2**16, 2**24, 2**32, 60, 1000, 3600, 10**6, 86_400, 86_400_000, 604_800, 604_800_000)
+_PARTS, _LOST_AT_TURN = (1, 1e-3, 1e-6), 100
+_HOUR, _DAY = 3600.0, 86_400.0
+# Possible units of stamps without a unit.
+_UNITS = ("s", "ms", "us", "ns")
+# Criteria for stamps without a unit: UNIX time in s, 2001 to 2065, and rates of inertial sensors in Hz.
+_UNIX_SECONDS = (1e9, 3e9)
+_PLAUSIBLE_RATES = (1.0, 2e4)
+# Times of the day, and a date with its zone.
+_CLOCK = re.compile(r"\s*(\d{1,2}):(\d\d):(\d\d(?:[.,]\d+)?)\s*([ap]\.?m\.?)?\s*", re.IGNORECASE)
+_ZONE = re.compile(r"(?:Z|[+-]\d\d:?\d\d)\s*$")
+
+
+@dataclass(frozen=True)
+class Clock:
+    """How the stamps of a table become seconds.
+
+    Attributes:
+        columns: columns of the stamps.
+        kind: what the stamps are.
+        unit: unit of numbers, "" for others.
+        format: format of dates that are text, as for `datetime.strptime`.
+        local: whether dates have no zone, so that they are set when summer time begins or ends.
+        notes: assumptions that users should know.
+    """
+
+    columns: tuple[Column, ...]
+    kind: Kind
+    unit: str = ""
+    format: str = ""
+    local: bool = False
+    notes: tuple[str, ...] = ()
+
+    @classmethod
+    def of(
+        cls,
+        columns: tuple[Column, ...],
+        first: Stamps,
+        time_unit: str | None,
+        rate: float | None,
+        source: Source,
+    ) -> "Clock":
+        """Return the clock of a table from its first stamps, or all.
+
+        Args:
+            columns: columns of the stamps.
+            first: their first values.
+            time_unit: unit of the stamps, if it is given.
+            rate: sample rate [Hz], if it is known without stamps.
+            source: origin of the stamps.
+
+        Raises:
+            RecordingError, UnitError: the unit is unknown, or no stamp is a time.
+        """
+        if len(columns) == 2:
+            return cls(columns, "pair")
+        values = first[0]
+        if values.dtype.kind == "M":
+            return cls(columns, "dates")
+        text = next((str(x) for x in values if not is_missing(x)), "") if values.dtype.kind == "O" else ""
+        if _CLOCK.fullmatch(text):
+            return cls(columns, "clock")
+        written = _date_format(text)
+        if written:
+            return cls(columns, "dates", format=written, local=_ZONE.search(text) is None)
+        unit, notes = _unit(columns[0], values, time_unit, rate, source)
+        return cls(columns, "numbers", unit, notes=notes)
+
+    @property
+    def label(self) -> str:
+        """Label of the stamps."""
+        return " + ".join(column.label for column in self.columns)
+
+    def seconds(self, stamps: Stamps, source: Source) -> tuple[Seconds, tuple[str, ...]]:
+        """Return times [s] from the first stamp, and notes on a clock that was set.
+
+        Raises:
+            RecordingError: a stamp is missing, or is no time.
+        """
+        if self.kind == "pair":
+            whole, parts = (
+                _since_first(values, column.label, source)
+                for column, values in zip(self.columns, stamps, strict=True)
+            )
+            return whole + 1e-9 * parts, ()
+        values = stamps[0]
+        if self.kind == "dates":
+            dates = self._dates(values, source)
+            times = (dates - dates[0]) / np.timedelta64(1, "ns") * 1e-9
+            return _set_by_an_hour(times, self.label) if self.local else (times, ())
+        if self.kind == "clock":
+            return _over_midnight(self._of_day(values, source), self.label)
+        counts = _since_first(values, self.label, source)
+        notes: tuple[str, ...] = ()
+        back = int(np.count_nonzero(values[1:] < values[:-1]))
+        if back and (np.diff(counts) > 0).all():
+            again = f"{back} times" if back > 1 else "once"
+            how = f"starts again {again}, like a counter that overflows; it is continued"
+            notes = (f"column {self.label!r} {how}",)
+        return convert(counts, self.unit, "s"), notes
+
+    def begun(self, stamps: Stamps) -> float | None:
+        """Return the UNIX time of the first stamp [s]; None if it is none, as of a clock that was not set."""
+        match self.kind:
+            case "dates":
+                dates = self._dates(stamps[0][:1], Source(self.label))
+                time = float((dates[0] - np.datetime64(0, "s")) / np.timedelta64(1, "s"))
+            case "clock":
+                return None
+            case "pair":
+                time = float(stamps[0][0])
+            case _:
+                time = float(stamps[0][0]) * convert(1.0, self.unit, "s")
+        return time if _UNIX_SECONDS[0] < time < _UNIX_SECONDS[1] else None
+
+    def step(self, stamps: Stamps) -> float:
+        """Return the resolution of the stamps [s]: all are multiples of it; 0 if none is known."""
+        if self.kind == "pair":
+            return 1e-9
+        values = stamps[0]
+        if self.kind == "dates":
+            return 1e-9 * _common_step(self._dates(values, Source(self.label)).astype(np.int64))
+        if self.kind == "clock":
+            texts = [str(x) for x in values[:1000]]
+            digits = (
+                max(len(re.split("[.,]", text)[1].strip(" apmAPM")) for text in texts)
+                if "." in texts[0]
+                else 0
+            )
+            return float(10.0**-digits)
+        if values.dtype.kind in "iu":
+            return convert(float(_common_step(values)), self.unit, "s")
+        return convert(_decimal_step(as_float(values, self.label, Source(self.label))), self.unit, "s")
+
+    def _dates(
+        self, values: Shaped[np.ndarray, " samples"], source: Source
+    ) -> Shaped[np.ndarray, " samples"]:
+        """Return stamps as datetime64[ns]."""
+        dates = values
+        if values.dtype.kind == "O":
+            import pandas as pd
+
+            texts = pd.Series(values)
+            dates = pd.to_datetime(texts, format=self.format, utc=True, errors="coerce")
+            dates = dates.dt.tz_localize(None).to_numpy(dtype="datetime64[ns]")
+        self._check(np.isnat(dates), values, source)
+        return dates.astype("datetime64[ns]")
+
+    def _of_day(self, values: Shaped[np.ndarray, " samples"], source: Source) -> Seconds:
+        """Return times of the day [s]."""
+        import pandas as pd
+
+        parts = pd.Series(values, dtype=object).astype(str).str.extract(_CLOCK)
+        self._check(parts[0].isna().to_numpy(), values, source)
+        seconds = parts[2].str.replace(",", ".").astype(float)
+        hours = parts[0].astype(float)
+        half = parts[3].str[:1].str.lower()
+        hours = np.where(half.isna(), hours, hours % 12 + 12.0 * (half == "p"))
+        return np.asarray(hours * _HOUR + parts[1].astype(float) * 60.0 + seconds, float)
+
+    def _check(
+        self, bad: Shaped[np.ndarray, " samples"], values: Shaped[np.ndarray, " samples"], source: Source
+    ) -> None:
+        """Raise RecordingError if a stamp is no time."""
+        if bad.any():
+            first = int(np.argmax(bad))
+            cell = values[first]
+            has = "no time" if is_missing(cell) else f"{str(cell)[:40]!r}, which is no time,"
+            raise source.error(
+                f"column {self.label!r} has {has} at {source.locate(first)}; repair it, or {IGNORE}"
+            )
+
+
+def is_missing(cell: object) -> bool:
+    """Return whether a cell is empty: None, nan or not a time."""
+    return cell is None or bool(cell != cell)
+
+
+def _date_format(text: str) -> str:
+    """Return the format of a date, "ISO8601" for most; "" for a text that is no date."""
+    import pandas as pd
+    from pandas.tseries.api import guess_datetime_format
+
+    if not re.search(r"\d{2,4}[-/. ]|\d{8}T", text):
+        return ""
+    try:
+        float(text)
+    except ValueError:
+        pass
+    else:
+        return ""
+    if not pd.isna(pd.to_datetime(text, format="ISO8601", errors="coerce")):
+        return "ISO8601"
+    # The order of day and month matters only over midnight.
+    return guess_datetime_format(text) or guess_datetime_format(text, dayfirst=True) or ""
+
+
+def _since_first(values: Shaped[np.ndarray, " samples"], label: str, source: Source) -> Seconds:
+    """Return stamps minus the first: 19-digit integers lose digits as floats, their differences do not."""
+    if is_numeric(values) and values.dtype.kind in "iu":
+        return _unwrapped((values - values[0]).astype(np.int64)).astype(float)
+    numbers = as_float(values, label, source)
+    bad = np.flatnonzero(~np.isfinite(numbers))
+    if bad.size:
+        raise source.error(
+            f"column {label!r} has no time at {source.locate(int(bad[0]))}; repair it, or {IGNORE}"
+        )
+    return _unwrapped(numbers - numbers[0])
+
+
+def _unwrapped(counts: Shaped[np.ndarray, " samples"]) -> Shaped[np.ndarray, " samples"]:
+    """Return the continued counts of a counter that restarts from zero, even if samples are lost there."""
+    steps = np.diff(counts)
+    back = steps < 0
+    if not back.any() or back.all():
+        return counts
+    typical = float(np.median(steps[~back]))
+    for part in _PARTS[: 1 if counts.dtype.kind == "i" else None]:
+        for turn in (counts.dtype.type(turn * part) for turn in _TURNS):
+            step = steps[back] + turn
+            most = min(_LOST_AT_TURN * typical, turn / 4)
+            if np.ptp(counts) < turn and (step > 0.5 * typical - 1.0 * part).all() and (step < most).all():
+                return counts + turn * np.concatenate([[0], np.cumsum(back)])
+    return counts
+
+
+def _over_midnight(of_day: Seconds, label: str) -> tuple[Seconds, tuple[str, ...]]:
+    """Return times of the day [s] as times from the first, continued over midnight."""
+    midnights = np.cumsum(np.diff(of_day) < -0.5 * _DAY)
+    times = of_day - of_day[0]
+    times[1:] += _DAY * midnights
+    if not midnights.any():
+        return times, ()
+    return times, (f"column {label!r} passes midnight; its times go on",)
+
+
+def _set_by_an_hour(times: Seconds, label: str) -> tuple[Seconds, tuple[str, ...]]:
+    """Return times [s] that go on where a local clock was set by an hour, and a note."""
+    intervals = np.diff(times)
+    typical = float(np.median(intervals))
+    if not typical > 0.0:
+        return times, ()
+    # A gap of an hour, to within an interval, would be a rare chance.
+    changed = np.rint(intervals / _HOUR)
+    is_set = (abs(changed) == 1.0) & (abs(intervals - changed * _HOUR - typical) < typical)
+    if not is_set.any():
+        return times, ()
+    shift = np.concatenate([[0.0], np.cumsum(np.where(is_set, changed, 0.0))])
+    which = "forward" if changed[is_set][0] > 0.0 else "back"
+    note = f"column {label!r} is set {which} by an hour, as at the change of summer time; its times go on"
+    return times - _HOUR * shift, (note,)
+
+
+def _common_step(values: Shaped[np.ndarray, " samples"]) -> int:
+    """Return the greatest common divisor of the differences of whole numbers."""
+    return int(np.gcd.reduce(np.diff(values).astype(np.int64)))
+
+
+def _decimal_step(values: Seconds) -> float:
+    """Return the greatest common divisor of the differences of decimal numbers; 0 if there is none."""
+    largest = float(abs(values).max())
+    for digits in range(10):
+        scaled = values * 10.0**digits
+        # Beyond 2^52 every number is whole.
+        if largest * 10.0**digits > 2.0**52:
+            return 0.0
+        if np.allclose(scaled, np.rint(scaled), rtol=0.0, atol=max(1e-3, 4e-16 * largest * 10.0**digits)):
+            return _common_step(np.rint(scaled).astype(np.int64)) * 10.0**-digits
+    return 0.0
+
+
+def _unit(
+    column: Column,
+    values: Shaped[np.ndarray, " samples"],
+    time_unit: str | None,
+    rate: float | None,
+    source: Source,
+) -> tuple[str, tuple[str, ...]]:
+    """Return the unit of the stamps, and notes: stated, the only plausible one, or implied by the rate."""
+    name, stated = f"column {column.label!r}", time_unit or column.unit
+    if stated is not None:
+        try:
+            convert(1.0, stated, "s")
+        except UnitError as error:
+            raise UnitError(
+                f"{source.label}: {name}: {stated!r} is not a unit of time; pass time_unit= (--time-unit): "
+                "s, ms, us, ns, min, h, or a multiple such as '0.1 ms'"
+            ) from error
+        if column.unit is None or same_unit(column.unit, stated):
+            return stated, ()
+        return stated, (f"{name} read in {stated} as requested, although labelled {column.unit}",)
+    counts = _since_first(values, column.label, source)
+    typical = float(np.median(np.diff(counts)))
+    if not typical > 0.0:
+        # Stamps in bursts, or too coarse ones, repeat.
+        typical = float(counts[-1]) / max(len(counts) - 1, 1)
+    rates = {unit: 1.0 / (typical * convert(1.0, unit, "s")) for unit in _UNITS if typical > 0.0}
+    low, high = _PLAUSIBLE_RATES
+    plausible = [unit for unit, hz in rates.items() if low <= hz <= high]
+    if rate is not None:
+        fitting = [unit for unit, hz in rates.items() if abs(hz / rate - 1.0) < MAX_RATE_DIFFERENCE]
+    else:
+        since = {unit: float(values[0]) * convert(1.0, unit, "s") for unit in plausible}
+        dated = [unit for unit, s in since.items() if _UNIX_SECONDS[0] < s < _UNIX_SECONDS[1]]
+        # Numbers that count up by one may be those of samples.
+        may_count = typical == 1.0 and not np.any(counts % 1)
+        fitting = dated or ([] if may_count else plausible)
+    if len(fitting) == 1:
+        return fitting[0], (f"{name} has no unit; assuming {fitting[0]}, the only plausible one",)
+    possible = (f"in {unit} the rate is {rates[unit]:.4g} Hz" for unit in plausible)
+    listed = ", ".join(possible) or "no unit gives a plausible rate"
+    if rate is not None and typical > 0.0:
+        step = 1.0 / rate / typical
+        note = f"{name} has no unit, and none fits {rate:g} Hz ({listed})"
+        return f"{step!r} s", (f"{note}; assuming counts of {step:.6g} s each",)
+    raise source.error(
+        f"{name} has no unit, and it is ambiguous ({listed}); pass time_unit= (--time-unit), such as s, ms "
+        f"or '0.1 ms', or rate= (--rate), or write the unit in the header: `{column.name} [s]`"
+    )
