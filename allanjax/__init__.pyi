@@ -102,8 +102,8 @@ from allanjax.presentation.page.report import report as report
 from allanjax.presentation.spectrum_figure import plot_psd as plot_psd
 from allanjax.record.io import read as read
 from allanjax.record.io import write as write
-from allanjax.record.io.assembly import ChunkedRecording as ChunkedRecording
-from allanjax.record.io.assembly import read_chunks as read_chunks
+from allanjax.record.io.chunks import ChunkedRecording as ChunkedRecording
+from allanjax.record.io.chunks import read_chunks as read_chunks
 from allanjax.record.recording import Axis as Axis
 from allanjax.record.recording import Recording as Recording
 from allanjax.record.units import convert as convert

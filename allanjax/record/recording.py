@@ -13,7 +13,7 @@ from allanjax.base.equality import ByValue
 from allanjax.base.errors import RecordingError
 from allanjax.base.tables import as_html, columns_from, printable
 from allanjax.base.wording import duration
-from allanjax.record.columns import Axis, DeadAxis, default_names, scales_of
+from allanjax.record.columns import Axis, DeadAxis, default_names, recognise, scales_of
 from allanjax.record.completion import (
     Gap,
     bridged,
@@ -128,9 +128,17 @@ class Recording(ByValue):
                     f"auxiliary column {key!r} has the shape {column.shape}, not ({len(samples)},)"
                 )
         options = ReadOptions(gyro_unit=gyro_unit, accel_unit=accel_unit, gaps=gaps)
+        notes: tuple[str, ...] = ()
         if labels is None:
             labels = default_names(len(columns), options.units, source)
-        table = Table.of((*columns, *extra.values()), (*labels, *extra), source, rate)
+            notes = (f"column order taken as {', '.join(labels)}",)
+        other = [label for label in labels if recognise(label).role != "axis"]
+        if other:
+            raise source.error(
+                f"{other[0]!r} is not an axis of a gyro or an accelerometer; use names such as gyro_x or "
+                "accel_z, and pass other columns with auxiliary="
+            )
+        table = Table.of((*columns, *extra.values()), (*labels, *extra), source, rate, notes)
         return recording_of(replace(table, auxiliary=frozenset(extra)), name, options)
 
     @property
@@ -313,7 +321,7 @@ def recording_of(table: Table, name: str, options: ReadOptions) -> Recording:
 
 
 def _recording(table: Table, layout: Layout, record: Record, name: str) -> Recording:
-    """Make a recording of the axes that are not dead, in which lost samples are filled in given the others."""
+    """Make a recording of the axes that are not dead, with lost samples filled in given the others."""
     axes, lost = layout.axes, record.lost
     values, gaps = record.values, record.gaps
     if lost.any():

@@ -236,7 +236,7 @@ def test_what_goes_wrong_in_a_later_chunk(tmp_path):
         save(FRAME.drop(index=row), path)
         refused(chunks, f"0.02 s (2 intervals)|row {row} ")
     again, slower = np.where(k == 2000, 19.99, k / RATE), np.where(k < 2000, k / RATE, 20 + (k - 2000) / 90)
-    for times, words in ((again, "repeats|row 2000"), (slower, "100 Hz at first")):
+    for times, words in ((again, "repeats|row 2000"), (slower, "100 Hz until")):
         save(FRAME.assign(**{"time [s]": times}), path)
         refused(chunks, words)
     slower = k / RATE * (1.0 + 1e-7 * k)

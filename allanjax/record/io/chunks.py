@@ -11,11 +11,19 @@ from jaxtyping import Float
 
 from allanjax.record.columns import Axis, scales_of
 from allanjax.record.completion import rows_between
+from allanjax.record.io.absent import without_samples
 from allanjax.record.io.formats import format_of, name_of
 from allanjax.record.io.grid import Stamps
 from allanjax.record.io.layout import Layout
 from allanjax.record.io.options import ReadOptions
-from allanjax.record.io.record import check_rows, no_rate_error, own_rows, rows_of_times, stated_rate
+from allanjax.record.io.record import (
+    Rows,
+    check_rows,
+    no_rate_error,
+    own_rows,
+    rows_of_times,
+    stated_rate,
+)
 from allanjax.record.io.table import Columns, Table, as_float, is_numeric
 from allanjax.record.io.times import IGNORE, MAX_RATE_DIFFERENCE, Clock, Seconds
 from allanjax.record.validation import (
@@ -87,6 +95,12 @@ class ChunkedRecording:
                 if not numbers[:, k].all():
                     check_finite(values[:, k], label, source)
             silent &= ~numbers.any(axis=0)
+            absent = without_samples(values, self._part.layout.columns)
+            if absent.notes:
+                raise source.error(
+                    f"{absent.notes[0]}; only read() (without --stream) does so: read a part with start= and "
+                    "stop= (--start, --stop), or all of it without --stream"
+                )
             if not count:
                 place, first = source, values[0].copy()
             count += len(values)
@@ -198,7 +212,9 @@ def _timed(
     columns = [first[column.index] for column in layout.columns]
     if all(map(is_numeric, columns)):
         seconds, _ = clock.seconds(stamps, source)
-        if not own_rows(np.column_stack(columns), seconds, layout.columns, source).all():
+        values = np.column_stack(columns)
+        rows = Rows(values, {}, seconds, source, np.zeros(values.shape, bool))
+        if not own_rows(rows, layout.columns).all():
             raise source.error("only read() (without --stream) leaves out rows that repeat previous values")
     times, place = part.first_times()
     check_length(len(times), place)

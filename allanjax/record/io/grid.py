@@ -29,10 +29,13 @@ _MANY_GAPS = 0.05
 # intervals; and the most intervals below half the usual one, per long one: a late stamp makes one of these.
 _NEAR_WHOLE, _MOSTLY, _EARLY = 0.2, 0.95, 0.25
 # Deviations from an even grid, in intervals, below which no sample can be missing.
-_WITHIN = 0.75
-# Deviations from an even grid are bounded if means over this many parts scatter less than single stamps do, by
-# this factor; a walk of the stamps would grow by more. The fewest stamps from which this can be told.
-_PARTS, _BOUNDED, _FEWEST = 16, 0.5, 512
+_WITHIN = 0.5
+# Fewest intervals unlike the usual one that show whether they come as regularly as by rounding.
+_SHOWING = 10
+# Deviations from an even grid are bounded if means over this many parts scatter less than single stamps do,
+# by this factor; a walk of the stamps would grow by more. The fewest stamps from which this can be told, and
+# the least deviation of a quarter of them, in intervals.
+_PARTS, _BOUNDED, _FEWEST, _SCATTER = 16, 0.5, 512, 0.1
 # Parts in which the interval is compared to find pieces of different rates, and the most pieces.
 _BLOCKS, _PIECES = 64, 5
 
@@ -58,7 +61,12 @@ class Grid(NamedTuple):
 
 
 class Piece(NamedTuple):
-    """A part of a record with a rate of its own: its first stamp, the one after its last, and the rate [Hz]."""
+    """Part of a record with a rate of its own.
+
+    Attributes:
+        first, end: its first stamp, and the one after its last.
+        rate: sample rate [Hz].
+    """
 
     first: int
     end: int
@@ -150,10 +158,9 @@ class Stamps:
     def _even(self, rate: float | None, how: str) -> Grid:
         """Return the grid of even samples at the mean rate of the stamps, or at the given rate."""
         times = self.seconds
-        span = float(times[-1] - times[0])
-        if not span > 0.0:
+        if not times[-1] > times[0]:
             raise self._error(f"the times in column {self.label!r} do not increase; {IGNORE}", "jitter")
-        mean = (len(times) - 1) / span
+        mean = 1.0 / self._interval()
         note = f"{mean:.9g} Hz, the mean of column {self.label!r} {how}"
         told = note if rate is None else f"{rate:.9g} Hz as given (stamps: {note})"
         jitter = float(np.std(np.diff(times)))
@@ -164,24 +171,33 @@ class Stamps:
         times, n = self.seconds, len(self.seconds)
         if not times[-1] > times[0]:
             return ""
-        number = np.arange(n) - 0.5 * (n - 1)
-        interval = float(number @ times / (number @ number))
-        off = times - times.mean() - interval * number
+        interval = self._interval()
+        off = times - times.mean() - interval * (np.arange(n) - 0.5 * (n - 1))
         spread = float(np.ptp(off))
-        # The line through the stamps is known to a part of their deviations.
-        if self.step and spread <= 1.1 * self.step:
+        intervals = np.diff(times)
+        unlike = np.count_nonzero(abs(intervals - np.median(intervals)) > 0.5 * self.step)
+        # The line through the stamps is known to a part of their deviations. Few long intervals may as well
+        # be missing samples.
+        if self.step and spread <= 1.1 * self.step and unlike >= _SHOWING:
             return f"for even samples, whose stamps are rounded to {duration(self.step)}"
         # A missing sample would shift those after it by a whole interval.
         if spread < _WITHIN * interval:
             return f"for even samples, as all stamps are within {duration(spread)} of even ones"
         if n < _FEWEST or self._unsteadiness() > MAX_RATE_DIFFERENCE or self._lost():
             return ""
+        # One stamp in a thousand that is wrong is no scatter.
+        usual = float(np.quantile(abs(off), 0.75))
         means = off[: n // _PARTS * _PARTS].reshape(_PARTS, -1).mean(axis=1)
-        if float(np.std(means)) < _BOUNDED * float(np.std(off)) and spread < 0.1 * n * interval:
+        if usual > _SCATTER * interval and float(np.std(means)) < _BOUNDED * float(np.std(off)):
             return (
                 f"for even samples, whose stamps scatter by {duration(float(np.std(off)))} about even times"
             )
         return ""
+
+    def _interval(self) -> float:
+        """Return the interval [s] of the straight line through the stamps."""
+        number = np.arange(len(self.seconds)) - 0.5 * (len(self.seconds) - 1)
+        return float(number @ self.seconds / (number @ number))
 
     def _lost(self) -> int:
         """Return how many samples are missing if intervals are whole multiples of the usual one; else 0."""
@@ -200,7 +216,7 @@ class Stamps:
         return int((steps[long] - 1.0).sum()) if early.sum() <= _EARLY * long.sum() else 0
 
     def _pieces(self) -> list[Piece]:
-        """Return the pieces of a record whose rate changes a few times; [] if it does not, or changes slowly."""
+        """Return the pieces of a record whose rate changes a few times; [] if it is steady, or drifts."""
         intervals = np.diff(self.seconds)
         if len(intervals) < 4 * _BLOCKS:
             return []
@@ -275,13 +291,13 @@ class Stamps:
         if longest.end < len(times):
             cut.append(f"stop={_before(times[longest.end - 1]):.3f} (--stop)")
         return (
-            f"column {self.label!r} has {', then '.join(told)}, but a recording has one rate; read a part, the "
-            f"longest with {' and '.join(cut)}"
+            f"column {self.label!r} has {', then '.join(told)}, but a recording has one rate; read a part, "
+            f"the longest with {' and '.join(cut)}"
         )
 
     def _irregular(self, long: Bool[np.ndarray, " n"], lost: int, drawn: int, gaps: bool) -> str:
         """Return how irregular stamps are, and what to do, in words."""
-        times, intervals = self.seconds, np.diff(self.seconds)
+        intervals = np.diff(self.seconds)
         column = f"column {self.label!r}"
         missing = self._lost()
         if missing and not gaps and not self.more:
@@ -297,7 +313,7 @@ class Stamps:
         )
 
     def _unsteadiness(self) -> float:
-        """Return the relative difference of the mean intervals of both halves, beyond the effect of jitter."""
+        """Return the relative difference of the mean intervals of both halves, beyond that by jitter."""
         times = self.seconds
         half, span = len(times) // 2, float(times[-1] - times[0])
         drift = abs(float(times[-1] - times[-1 - half]) - float(times[half] - times[0]))
@@ -308,10 +324,8 @@ class Stamps:
         """Return the remedy for evenly spaced samples with uneven stamps, if the mean rate is steady."""
         if self._unsteadiness() > MAX_RATE_DIFFERENCE:
             return ""
-        times = self.seconds
-        mean = (len(times) - 1) / float(times[-1] - times[0])
         how = "pass time='uniform' (--time uniform); "
-        return f"if the samples are evenly spaced (at {mean:.6g} Hz on average), {how}"
+        return f"if the samples are evenly spaced (at {1.0 / self._interval():.6g} Hz on average), {how}"
 
     def _backwards(self) -> str:
         """Return a message on stamps that repeat or go back, and what can be read instead."""

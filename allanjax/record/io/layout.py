@@ -27,6 +27,8 @@ from allanjax.record.validation import check_names
 
 # Entries in a list of columns that skip a column.
 _SKIP = ("-", "_", "")
+# Least share of rows from which a column in a unit of time increases if it has times.
+_RISING = 0.5
 
 
 @dataclass(frozen=True)
@@ -104,8 +106,8 @@ def _found(table: Table, first: Columns, options: ReadOptions) -> tuple[list[Col
         repeated = _repeated(table.labels)
         if repeated:
             raise table.source.error(
-                f"the header names {', '.join(map(repr, repeated))} more than once; correct it, "
-                "or name all columns with columns= (--columns)"
+                f"several columns are called {', '.join(map(repr, repeated))}; correct the header, or name "
+                "all columns with columns= (--columns)"
             )
         found = _recognised(table.labels)
     else:
@@ -128,8 +130,8 @@ def _as_time(column: Column, values: Shaped[np.ndarray, " rows"], table: Table) 
         return column
     is_time = values.dtype.kind == "M"
     if not is_time and column.unit is not None and is_numeric(values) and len(values) > 1:
-        # Most durations beside samples, such as a latency, do not increase from row to row.
-        is_time = _is_unit_of_time(column.unit) and np.mean(np.diff(values.astype(float)) >= 0.0) > 0.9
+        # Durations beside samples, such as a latency, do not increase from row to row.
+        is_time = _is_unit_of_time(column.unit) and np.mean(np.diff(values.astype(float)) > 0.0) > _RISING
     return replace(column, role="time") if is_time else column
 
 
@@ -301,8 +303,8 @@ def _check_all_used(
             others = "" if table.labels is None else f" among {', '.join(table.labels)}"
             name = "accelerometer" if sensor == "accel" else sensor
             raise table.source.error(
-                f"{sensor}_unit= (--{sensor}-unit) is given, but there is no {name}{others}; omit it, or name "
-                f"the columns with columns= (--columns), one entry per column (axes are now {read})"
+                f"{sensor}_unit= (--{sensor}-unit) is given, but there is no {name}{others}; omit it, or "
+                f"name the columns with columns= (--columns), one entry per column (axes are now {read})"
             )
     if options.time_unit is not None and not clock:
         raise table.source.error(

@@ -1,7 +1,7 @@
 """Record: the rows of a table that are samples, at their times, without those that are none."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -10,6 +10,7 @@ from jaxtyping import Bool, Float
 from allanjax.base.errors import MixedRatesError, RecordingError
 from allanjax.record.columns import Column
 from allanjax.record.completion import Gap, on_grid, segments_of, without_repeats
+from allanjax.record.io.absent import without_samples
 from allanjax.record.io.grid import Grid, Stamps, after_gaps
 from allanjax.record.io.layout import Layout
 from allanjax.record.io.options import ReadOptions
@@ -22,6 +23,7 @@ from allanjax.record.validation import Source, check_length, check_rate
 _LEAST_FRESH, _MOST_FRESH, _REGULAR, _SAME = 0.02, 0.92, 0.95, 0.45
 
 Values = Float[np.ndarray, "samples axes"]
+Which = Bool[np.ndarray, "samples axes"]
 
 
 class Rows(NamedTuple):
@@ -32,18 +34,20 @@ class Rows(NamedTuple):
         auxiliary: other columns by name.
         seconds: times [s] from the first row of the table.
         source: origin of the rows.
+        absent: where a sensor has no sample, with values of nan.
     """
 
     values: Values
     auxiliary: Mapping[str, Float[np.ndarray, " samples"]]
     seconds: Seconds
     source: Source
+    absent: Which
 
     def taken(self, rows: slice | Bool[np.ndarray, " samples"]) -> "Rows":
         """Return some of the rows."""
         auxiliary = {name: column[rows] for name, column in self.auxiliary.items()}
         source = self.source.after(rows.start or 0) if isinstance(rows, slice) else self.source.at(rows)
-        return Rows(self.values[rows], auxiliary, self.seconds[rows], source)
+        return Rows(self.values[rows], auxiliary, self.seconds[rows], source, self.absent[rows])
 
     @property
     def interval(self) -> float:
@@ -90,6 +94,8 @@ class Record:
         times = Times.of(table, layout, columns, rate, options)
         part, part_notes = _part(table, layout, columns, times.seconds, options)
         notes = [*rate_notes, *times.notes, *part_notes]
+        part, absent_notes = _without_absent(part, layout)
+        notes += absent_notes
         if layout.clock:
             part, own_notes = _own(part, layout, options)
             notes += own_notes
@@ -114,7 +120,7 @@ class Record:
         if rate is None:
             raise no_rate_error(table.source)
         begun = None if times.begun is None else times.begun + float(part.seconds[0])
-        lost = np.isnan(part.values) if options.gaps == "fill" else np.zeros(part.values.shape, bool)
+        lost = np.isnan(part.values) if options.gaps == "fill" else part.absent
         return cls(
             part.values,
             lost,
@@ -186,7 +192,22 @@ def _part(
         notes.append(note)
         if numbers is not None:
             auxiliary[column.name] = numbers
-    return Rows(np.array(axes).T, auxiliary, seconds[rows], source), notes
+    values = np.array(axes).T
+    return Rows(values, auxiliary, seconds[rows], source, np.zeros(values.shape, bool)), notes
+
+
+def _without_absent(part: Rows, layout: Layout) -> tuple[Rows, tuple[str, ...]]:
+    """Return rows with nan where a sensor has no sample, without such rows at the ends, and notes."""
+    found = without_samples(part.values, layout.columns)
+    if not found.at.any():
+        return part._replace(values=found.values), found.notes
+    values = np.where(found.at, np.nan, found.values)
+    part = part._replace(values=values, absent=found.at).taken(found.ends)
+    check_length(len(part.values), part.source)
+    cut = len(values) - len(part.values)
+    if not cut:
+        return part, found.notes
+    return part, (*found.notes, f"{cut:,} rows at the ends without a sample of all sensors are left out")
 
 
 def _auxiliary(
@@ -210,7 +231,7 @@ def _own(part: Rows, layout: Layout, options: ReadOptions) -> tuple[Rows, list[s
         kept = without_repeats(part.values, part.seconds)
     if not kept.all():
         notes.append(f"{np.count_nonzero(~kept)} packets that were recorded twice are left out")
-    own = own_rows(part.values[kept], part.seconds[kept], layout.columns, part.source)
+    own = own_rows(part.taken(kept), layout.columns)
     if not own.all():
         notes.append(f"{np.count_nonzero(~own)} rows that repeat the previous values are left out")
     kept[kept] = own
@@ -219,20 +240,22 @@ def _own(part: Rows, layout: Layout, options: ReadOptions) -> tuple[Rows, list[s
     return found, notes
 
 
-def own_rows(
-    values: Values, seconds: Seconds, columns: Sequence[Column], source: Source
-) -> Bool[np.ndarray, " samples"]:
+def own_rows(part: Rows, columns: Sequence[Column]) -> Bool[np.ndarray, " samples"]:
     """Return the rows of a table in which its sensors were sampled.
 
-    If several sensors share a table, a row repeats the previous values of those that were not sampled then.
+    If several sensors share a table, a row repeats the previous values of those that were not sampled then,
+    or marks them as absent.
 
     Raises:
         MixedRatesError: the sensors have different rates.
     """
+    values, seconds = part.values, part.seconds
     fresh = {}
     for sensor in dict.fromkeys(column.sensor for column in columns):
-        own = values[:, [column.sensor == sensor for column in columns]]
-        fresh[sensor] = np.concatenate([[False], (own[1:] != own[:-1]).any(axis=1)])
+        of_sensor = [column.sensor == sensor for column in columns]
+        own = values[:, of_sensor]
+        changed = np.concatenate([[False], (own[1:] != own[:-1]).any(axis=1)])
+        fresh[sensor] = changed & ~part.absent[:, of_sensor].all(axis=1)
     # A sensor that does not change is dead.
     living = [rows for rows in fresh.values() if rows.mean() > _LEAST_FRESH]
     in_turn = len(living) == 2 and np.mean(living[0] ^ living[1]) > _REGULAR
@@ -249,8 +272,8 @@ def own_rows(
         return one | other
     rates = {sensor: rows.sum() / max(seconds[-1] - seconds[0], 1e-9) for sensor, rows in fresh.items()}
     listed = " and ".join(f"{sensor} at {rate:.4g} Hz" for sensor, rate in rates.items())
-    error = source.error(
-        f"the sensors were sampled at different times, {listed} (other rows repeat the previous values), but "
+    error = part.source.error(
+        f"the sensors were sampled at different times, {listed} (other rows have none of their samples), but "
         "a recording has one rate; read one sensor with columns='gyro' or columns='accel' (--columns gyro, "
         "--columns accel)"
     )

@@ -8,9 +8,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Float, Int
 
+from allanjax.record.io.grid import format_jitter
 from allanjax.record.io.series import Series, joined, seconds_between
 from allanjax.record.io.table import Format, Table, damage_reported, optional_package
-from allanjax.record.io.grid import format_jitter
 from allanjax.record.validation import Source
 
 _IMU = "sensor_msgs/msg/Imu"

@@ -6,8 +6,8 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from jaxtyping import Float, Int
 
-from allanjax.record.io.table import Table
 from allanjax.record.io.grid import regular_intervals
+from allanjax.record.io.table import Table
 from allanjax.record.io.times import MAX_RATE_DIFFERENCE
 from allanjax.record.units import Sensor
 from allanjax.record.validation import Source

@@ -78,7 +78,10 @@ class Table:
 
     def units_with(self, options: ReadOptions) -> dict[Sensor, str | None]:
         """Return the unit of each sensor's samples: that of the options, else that of the format."""
-        return {sensor: unit or self.units.get(sensor) for sensor, unit in options.units.items()}
+        given = options.units
+        return {
+            sensor: self.units.get(sensor) if given[sensor] is None else given[sensor] for sensor in given
+        }
 
     def no_rows(self) -> RecordingError:
         """Return the RecordingError for a file without rows."""

@@ -1,0 +1,164 @@
+"""What stands in a table where a sensor has no sample: markers, failed reads, held values, padding, wraps."""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from allanjax.base.wording import plain
+from allanjax.record.columns import Column
+from allanjax.record.completion import runs_of
+
+Values = Float[np.ndarray, "samples axes"]
+Which = Bool[np.ndarray, "samples axes"]
+
+# A marker is farther from all other samples than this many of their standard deviations and steps, occurs so
+# often, and no other sample is as much as half as far.
+_FAR, _LEAST, _HALF = 20.0, 3, 0.5
+# Share of the rows with a marker in which other axes have it, too, if all are written at once.
+_AT_ONCE = 0.9
+# Probability that samples of a sensor that is alive are equal as often in a row, in a whole record; the
+# fewest that count; and the probability of equal neighbours that is assumed at least.
+_CHANCE, _SHORTEST, _EQUAL = 1e-9, 8, 1e-3
+# Share of equal neighbours above which a sensor is slower than its rows.
+_SLOWER = 0.5
+# Bits of the numbers that wrap, and the least distance of the wrapped samples, in standard deviations.
+_BITS, _APART = (8, 12, 16, 24, 32), 10.0
+# Samples from which the smallest step between values is determined.
+_LOOKED_AT = 1 << 15
+
+
+class Absent(NamedTuple):
+    """Which values are no samples.
+
+    Attributes:
+        values: the values, with wrapped ones shifted back.
+        at: where there is no sample.
+        notes: what was found, for users.
+    """
+
+    values: Values
+    at: Which
+    notes: tuple[str, ...]
+
+    @property
+    def ends(self) -> slice:
+        """Rows without those at the ends in which a sensor has no sample."""
+        there = ~self.at.any(axis=1)
+        if not there.any():
+            return slice(0, len(there))
+        return slice(int(np.argmax(there)), len(there) - int(np.argmax(there[::-1])))
+
+
+def without_samples(values: Values, columns: Sequence[Column]) -> Absent:
+    """Find the values that are no samples, and shift back those that have wrapped.
+
+    Args:
+        values: samples in the units of the table; nan where one is missing.
+        columns: columns of the axes.
+    """
+    at = np.zeros(values.shape, bool)
+    notes = []
+    for k, column in enumerate(columns):
+        marker = _marker(values[:, k])
+        if marker is None:
+            continue
+        rows = values[:, k] == marker
+        # The others have it in the same rows if all were written at once.
+        same = (values == marker) & rows[:, None]
+        at |= same & (same.sum(axis=0) > _AT_ONCE * rows.sum())
+        what = "failed reads" if marker == 0.0 else "markers of no sample"
+        notes.append(
+            f"{column.label!r}: {np.count_nonzero(rows):,} samples are exactly {marker:.6g}, far from all "
+            f"others: {what}; left out"
+        )
+    shifted = np.where(at, np.nan, values) if at.any() else values
+    for k, column in enumerate(columns):
+        turned, note = _unwrapped(shifted[:, k], column.label)
+        if note:
+            shifted = shifted.copy() if shifted is values else shifted
+            shifted[:, k] = turned
+            notes.append(note)
+    for sensor in dict.fromkeys(column.sensor for column in columns):
+        own = np.array([column.sensor == sensor for column in columns])
+        held = _held(shifted[:, own])
+        if held.any():
+            at[:, own] |= held[:, None]
+            lengths = np.diff(runs_of(held))[:, 0]
+            notes.append(
+                f"{sensor}: {held.sum():,} samples repeat those before exactly on all axes, "
+                f"{plain(float(lengths.max()), 6)} at most in a row: held values or padding; left out"
+            )
+    return Absent(shifted, at, tuple(notes))
+
+
+def _marker(x: Float[np.ndarray, " samples"]) -> float | None:
+    """Return the value that marks a missing sample of an axis; None if there is none."""
+    low, high = _ends(x)
+    if not low < high:
+        return None
+    for marker in (low, high):
+        is_marker = x == marker
+        count = np.count_nonzero(is_marker)
+        if count < _LEAST:
+            continue
+        rest = x[~is_marker & np.isfinite(x)]
+        if len(rest) < _LEAST:
+            continue
+        center = float(np.median(rest[: 10 * _LOOKED_AT]))
+        spread = max(float(rest.std()), _step(rest))
+        far = abs(marker - center)
+        if spread > 0.0 and far > _FAR * spread and abs(rest - center).max() < _HALF * far:
+            return marker
+    return None
+
+
+def _ends(x: Float[np.ndarray, " samples"]) -> tuple[float, float]:
+    """Return the least and the largest number; equal ones if there is none."""
+    low, high = float(np.fmin.reduce(x)), float(np.fmax.reduce(x))
+    return (low, high) if low == low else (0.0, 0.0)
+
+
+def _step(x: Float[np.ndarray, " samples"]) -> float:
+    """Return the smallest difference between values; 0 if all are equal."""
+    gaps = np.diff(np.unique(x[:_LOOKED_AT]))
+    return float(gaps.min()) if len(gaps) else 0.0
+
+
+def _held(values: Values) -> Bool[np.ndarray, " samples"]:
+    """Return which samples of a sensor repeat those before so often in a row that it was not sampled."""
+    same = np.concatenate([[False], (values[1:] == values[:-1]).all(axis=1)])
+    runs = runs_of(same)
+    held = np.zeros(len(values), bool)
+    if not len(runs) or same.mean() > _SLOWER:
+        return held
+    lengths = np.diff(runs)[:, 0]
+    # Long runs themselves are no chance.
+    usual = lengths[lengths < _SHORTEST].sum() / len(values)
+    chance = max(float(usual), _EQUAL)
+    least = max(_SHORTEST, int(np.ceil(np.log(_CHANCE / len(values)) / np.log(chance))))
+    for first, end in runs[lengths >= least].tolist():
+        held[first:end] = True
+    return held
+
+
+def _unwrapped(x: Float[np.ndarray, " samples"], label: str) -> tuple[Float[np.ndarray, " samples"], str]:
+    """Return the samples of an axis with those that have wrapped shifted back, and a note; "" if none has."""
+    low, high = _ends(x)
+    is_high = x > 0.5 * (low + high)
+    above, below = x[is_high], x[~is_high & np.isfinite(x)]
+    if len(above) < _LEAST or len(below) < _LEAST:
+        return x, ""
+    spread = float(max(above.std(), below.std()))
+    if not 0.0 < _APART * spread < float(above.mean() - below.mean()):
+        return x, ""
+    step = _step(x)
+    for bits in _BITS:
+        turn = 2.0**bits * step
+        in_range = (low >= 0.0 and high < turn) or (low >= -0.5 * turn and high < 0.5 * turn)
+        if in_range and float(below.min()) + turn - float(above.max()) < max(spread, 2.0 * step):
+            count = min(len(above), len(below))
+            turned = np.where(is_high, x - turn, x)
+            return turned, f"{label!r}: {count:,} samples have wrapped at {bits} bits; shifted back"
+    return x, ""
