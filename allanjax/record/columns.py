@@ -65,7 +65,13 @@ _TIME_SUFFIX = re.compile(
 _TIME_PART = re.compile(r"(.*?)_?(secs?|seconds|nsecs?|nanosecs?|nanoseconds)")
 # Names of sample counters, which are times if the rate is known; and clocks of a known unit.
 _COUNTER = re.compile(r"(?:.*_)?(?:packet|sample|frame|message|msg)_?(?:counter|count|number|num|index|nr)")
-_CLOCKS = {"sample_time_fine": "0.1 ms"}
+_CLOCKS = {"sample_time_fine": "0.1 ms", "millis": "ms", "micros": "us", "nanos": "ns"}
+_CLOCKS |= {"ms": "ms", "us": "us", "ns": "ns"}
+# Words of names that may be those of times, if the values increase.
+_MAYBE_TIME = re.compile(
+    r"(?:^|_)(?:t|time|stamp|clock|epoch|unix|tow|sow|sod|elapsed|uptime|ticks?|millis|micros|nanos|seconds"
+    r"|ms|us|ns)(?:_|$)"
+)
 # Names of the cluster times of Allan curves, which are no recordings.
 _CLUSTER_TIME = re.compile(r"taus?|(?:cluster|averaging|correlation)_time")
 
@@ -120,6 +126,14 @@ def by_unit(column: Column) -> Column:
             if parse_sample_unit(column.unit, sensor).quantity == "rate":
                 return replace(column, role="axis", sensor=sensor)
     return column
+
+
+def may_be_time(column: Column) -> Column | None:
+    """Return an auxiliary column as one of times if its name allows that, with the unit in its name."""
+    words = _words(column.name)
+    if column.role != "auxiliary" or not _MAYBE_TIME.search(words):
+        return None
+    return replace(column, role="time", unit=column.unit or _CLOCKS.get(words))
 
 
 def split_unit(label: str) -> tuple[str, str | None]:

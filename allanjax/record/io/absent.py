@@ -45,10 +45,10 @@ class Absent(NamedTuple):
     @property
     def ends(self) -> slice:
         """Rows without those at the ends in which a sensor has no sample."""
-        there = ~self.at.any(axis=1)
-        if not there.any():
-            return slice(0, len(there))
-        return slice(int(np.argmax(there)), len(there) - int(np.argmax(there[::-1])))
+        there = np.flatnonzero(~self.at.any(axis=1))
+        if not len(there):
+            return slice(0, len(self.at))
+        return slice(int(there[0]), int(there[-1]) + 1)
 
 
 def without_samples(values: Values, columns: Sequence[Column]) -> Absent:

@@ -57,9 +57,10 @@ def as_recording(
         return data
     if isinstance(data, str | os.PathLike):
         return read(data, rate=rate, gyro_unit=gyro_unit, accel_unit=accel_unit, columns=names, gaps=gaps)
-    if columns_of(data) is not None:
+    columns = columns_of(data)
+    if columns is not None:
         return Recording.from_dataframe(
-            data, rate, gyro_unit=gyro_unit, accel_unit=accel_unit, names=names, gaps=gaps
+            columns, rate, gyro_unit=gyro_unit, accel_unit=accel_unit, names=names, gaps=gaps
         )
     values, rate = _samples(data, rate)
     if gyro_unit is None and accel_unit is None and names is None:

@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from allanjax.base.errors import RecordingError
-from allanjax.base.wording import duration, percent, plain
+from allanjax.base.wording import percent, plain
 from allanjax.record.completion import MOST_MISSING
 from allanjax.record.io.times import IGNORE, MAX_RATE_DIFFERENCE, Seconds
 from allanjax.record.validation import MIN_SAMPLES, Source, check_length
@@ -179,19 +179,17 @@ class Stamps:
         # The line through the stamps is known to a part of their deviations. Few long intervals may as well
         # be missing samples.
         if self.step and spread <= 1.1 * self.step and unlike >= _SHOWING:
-            return f"for even samples, whose stamps are rounded to {duration(self.step)}"
+            return f"for even samples, whose stamps are rounded to {_short(self.step)}"
         # A missing sample would shift those after it by a whole interval.
         if spread < _WITHIN * interval:
-            return f"for even samples, as all stamps are within {duration(spread)} of even ones"
+            return f"for even samples, as all stamps are within {_short(spread)} of even ones"
         if n < _FEWEST or self._unsteadiness() > MAX_RATE_DIFFERENCE or self._lost():
             return ""
         # One stamp in a thousand that is wrong is no scatter.
         usual = float(np.quantile(abs(off), 0.75))
         means = off[: n // _PARTS * _PARTS].reshape(_PARTS, -1).mean(axis=1)
         if usual > _SCATTER * interval and float(np.std(means)) < _BOUNDED * float(np.std(off)):
-            return (
-                f"for even samples, whose stamps scatter by {duration(float(np.std(off)))} about even times"
-            )
+            return f"for even samples, whose stamps scatter by {_short(float(np.std(off)))} about even times"
         return ""
 
     def _interval(self) -> float:
@@ -269,7 +267,7 @@ class Stamps:
         n = len(self.seconds)
         share = lost / (lost + n)
         text = (
-            f"intervals are whole multiples of {duration(float(np.median(np.diff(self.seconds))))}, so that "
+            f"intervals are whole multiples of {_short(float(np.median(np.diff(self.seconds))))}, so that "
             f"{lost:,} of {lost + n:,} samples ({percent(share)}) are missing"
         )
         segment = "read the longest part without with gaps='segments' (--gaps segments)"
@@ -415,6 +413,14 @@ def gaps_in(times: Seconds) -> Bool[np.ndarray, " intervals"]:
     delays = (times[about] - times[rows]) / typical - (about - rows)
     gaps[rows[:, 0]] = np.median(delays[:, _ABOUT:], axis=1) - np.median(delays[:, :_ABOUT], axis=1) > 0.5
     return gaps
+
+
+def _short(time: float) -> str:
+    """Return a short time with its unit, e.g. "5 ms"."""
+    for unit, size in (("s", 1.0), ("ms", 1e-3), ("µs", 1e-6)):
+        if time >= size:
+            return f"{plain(time / size, 2)} {unit}"
+    return f"{plain(time / 1e-9, 2)} ns"
 
 
 def _after(time: float) -> float:

@@ -16,19 +16,20 @@ from allanjax.record.columns import (
     by_unit,
     default_names,
     distinct,
+    may_be_time,
     recognise,
     scales_of,
     split_unit,
 )
 from allanjax.record.io.options import ReadOptions
 from allanjax.record.io.table import Columns, Table, is_numeric
-from allanjax.record.units import SENSORS, convert
+from allanjax.record.units import SENSORS, Sensor, convert
 from allanjax.record.validation import check_names
 
 # Entries in a list of columns that skip a column.
 _SKIP = ("-", "_", "")
-# Least share of rows from which a column in a unit of time increases if it has times.
-_RISING = 0.5
+# Least share of rows in which times do not decrease.
+_RISING = 0.9
 
 
 @dataclass(frozen=True)
@@ -114,7 +115,24 @@ def _found(table: Table, first: Columns, options: ReadOptions) -> tuple[list[Col
         names = default_names(len(first), options.units, table.source)
         found = _recognised(names)
         notes.append(f"the columns have no names; they are assumed to be {', '.join(names)}")
-    return [_as_time(column, first[column.index], table) for column in found], notes
+    found = [_as_time(column, first[column.index], table) for column in found]
+    return _of_one_sensor(found, options, notes), notes
+
+
+def _of_one_sensor(found: list[Column], options: ReadOptions, notes: list[str]) -> list[Column]:
+    """Return columns called x, y and z as axes if the unit of one sensor is given and no axis has a name."""
+    sensors: list[Sensor] = [sensor for sensor, unit in options.units.items() if unit is not None]
+    bare = [column for column in found if column.name.casefold() in ("x", "y", "z")]
+    if len(sensors) != 1 or not bare or any(column.role == "axis" for column in found):
+        return found
+    notes.append(f"{', '.join(column.label for column in bare)} are taken as axes of the {sensors[0]}")
+    named = []
+    for column in found:
+        if column in bare:
+            name = f"{sensors[0]}_{column.name.casefold()}"
+            column = replace(column, role="axis", sensor=sensors[0], name=name)
+        named.append(column)
+    return named
 
 
 def _recognised(labels: Sequence[str]) -> list[Column]:
@@ -128,11 +146,21 @@ def _as_time(column: Column, values: Shaped[np.ndarray, " rows"], table: Table) 
         return replace(column, role="auxiliary", sensor=None)
     if column.role != "auxiliary":
         return column
-    is_time = values.dtype.kind == "M"
-    if not is_time and column.unit is not None and is_numeric(values) and len(values) > 1:
-        # Durations beside samples, such as a latency, do not increase from row to row.
-        is_time = _is_unit_of_time(column.unit) and np.mean(np.diff(values.astype(float)) > 0.0) > _RISING
-    return replace(column, role="time") if is_time else column
+    if values.dtype.kind == "M":
+        return replace(column, role="time")
+    time = may_be_time(column)
+    if time is None and column.unit is not None and _is_unit_of_time(column.unit):
+        time = replace(column, role="time")
+    # Durations beside samples, such as a latency, do not increase from row to row.
+    if time is None or not is_numeric(values) or not _increases(values):
+        return column
+    return time
+
+
+def _increases(values: Shaped[np.ndarray, " rows"]) -> bool:
+    """Return whether values mostly increase from row to row, or stay, as in bursts."""
+    steps = np.diff(values.astype(float))
+    return bool(np.sum(steps) > 0.0 and np.mean(steps >= 0.0) > _RISING)
 
 
 @functools.cache
@@ -185,7 +213,7 @@ def _chosen(table: Table, count: int, columns: str | Sequence[str]) -> list[Colu
 
 def _picked(labels: Sequence[str], names: Sequence[str], matches: Sequence[Sequence[int]]) -> list[Column]:
     """Return the columns of a header that these names match, and its time stamps."""
-    units = {}
+    units: dict[int, str | None] = {}
     for name, match in zip(names, matches, strict=True):
         units |= dict.fromkeys(match, split_unit(name)[1])
     columns = _recognised(labels)

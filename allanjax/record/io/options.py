@@ -114,8 +114,8 @@ class ReadOptions:
 
     def of_sensor(self, sensor: str) -> "ReadOptions":
         """Options for one sensor of the recording that these read."""
-        other = "accel_unit" if sensor == "gyro" else "gyro_unit"
-        return replace(self, columns=sensor, **{other: None})
+        gyro, accel = (unit if kind == sensor else None for kind, unit in self.units.items())
+        return replace(self, columns=sensor, gyro_unit=gyro, accel_unit=accel)
 
     def given(self) -> dict[str, Any]:
         """Names and values of the options that are given."""

@@ -33,6 +33,8 @@ _UNITS = ("s", "ms", "us", "ns")
 # Criteria for stamps without a unit: UNIX time in s, 2001 to 2065, and rates of inertial sensors in Hz.
 _UNIX_SECONDS = (1e9, 3e9)
 _PLAUSIBLE_RATES = (1.0, 2e4)
+# Stamps from which the resolution of times of the day is determined.
+_LOOKED_AT = 1000
 # Times of the day, and a date with its zone.
 _CLOCK = re.compile(r"\s*(\d{1,2}):(\d\d):(\d\d(?:[.,]\d+)?)\s*([ap]\.?m\.?)?\s*", re.IGNORECASE)
 _ZONE = re.compile(r"(?:Z|[+-]\d\d:?\d\d)\s*$")
@@ -148,13 +150,7 @@ class Clock:
         if self.kind == "dates":
             return 1e-9 * _common_step(self._dates(values, Source(self.label)).astype(np.int64))
         if self.kind == "clock":
-            texts = [str(x) for x in values[:1000]]
-            digits = (
-                max(len(re.split("[.,]", text)[1].strip(" apmAPM")) for text in texts)
-                if "." in texts[0]
-                else 0
-            )
-            return float(10.0**-digits)
+            return _decimal_step(self._of_day(values[:_LOOKED_AT], Source(self.label)))
         if values.dtype.kind in "iu":
             return convert(float(_common_step(values)), self.unit, "s")
         return convert(_decimal_step(as_float(values, self.label, Source(self.label))), self.unit, "s")
@@ -167,9 +163,8 @@ class Clock:
         if values.dtype.kind == "O":
             import pandas as pd
 
-            texts = pd.Series(values)
-            dates = pd.to_datetime(texts, format=self.format, utc=True, errors="coerce")
-            dates = dates.dt.tz_localize(None).to_numpy(dtype="datetime64[ns]")
+            parsed = pd.to_datetime(pd.Series(values), format=self.format, utc=True, errors="coerce")
+            dates = parsed.dt.tz_localize(None).to_numpy(dtype="datetime64[ns]")
         self._check(np.isnat(dates), values, source)
         return dates.astype("datetime64[ns]")
 
@@ -180,9 +175,9 @@ class Clock:
         parts = pd.Series(values, dtype=object).astype(str).str.extract(_CLOCK)
         self._check(parts[0].isna().to_numpy(), values, source)
         seconds = parts[2].str.replace(",", ".").astype(float)
-        hours = parts[0].astype(float)
         half = parts[3].str[:1].str.lower()
-        hours = np.where(half.isna(), hours, hours % 12 + 12.0 * (half == "p"))
+        as_read = parts[0].astype(float)
+        hours = np.where(half.isna(), as_read, as_read % 12 + 12.0 * (half == "p"))
         return np.asarray(hours * _HOUR + parts[1].astype(float) * 60.0 + seconds, float)
 
     def _check(
