@@ -27,7 +27,7 @@ from allanjax.record.io.layout import Layout
 from allanjax.record.io.options import GapChoice, ReadOptions
 from allanjax.record.io.record import Record
 from allanjax.record.io.table import Table, columns_of
-from allanjax.record.units import SI
+from allanjax.record.units import SI, Sensor
 from allanjax.record.validation import (
     Source,
     as_columns,
@@ -127,10 +127,10 @@ class Recording(ByValue):
                 raise source.error(
                     f"auxiliary column {key!r} has the shape {column.shape}, not ({len(samples)},)"
                 )
-        options = ReadOptions(gyro_unit=gyro_unit, accel_unit=accel_unit, gaps=gaps)
+        units: dict[Sensor, str | None] = {"gyro": gyro_unit, "accel": accel_unit}
         notes: tuple[str, ...] = ()
         if labels is None:
-            labels = default_names(len(columns), options.units, source)
+            labels = default_names(len(columns), units, source)
             notes = (f"column order taken as {', '.join(labels)}",)
         other = [label for label in labels if recognise(label).role != "axis"]
         if other:
@@ -138,6 +138,10 @@ class Recording(ByValue):
                 f"{other[0]!r} is not an axis of a gyro or an accelerometer; use names such as gyro_x or "
                 "accel_z, and pass other columns with auxiliary="
             )
+        sensors = {recognise(label).sensor for label in labels}
+        # All columns are named, so that a unit without a use tells of no lost column.
+        used = {sensor: unit if sensor in sensors else None for sensor, unit in units.items()}
+        options = ReadOptions(gyro_unit=used["gyro"], accel_unit=used["accel"], gaps=gaps)
         table = Table.of((*columns, *extra.values()), (*labels, *extra), source, rate, notes)
         return recording_of(replace(table, auxiliary=frozenset(extra)), name, options)
 
