@@ -226,7 +226,11 @@ def axes_of(
     axes, increments = [], []
     stated: dict[str, list[str]] = {}
     for column in distinct(columns, source):
-        assert column.sensor is not None
+        if column.sensor is None:
+            raise source.error(
+                f"{column.label!r} is not an axis of a gyro or an accelerometer; use names such as gyro_x or "
+                "accel_z, and pass other columns with auxiliary="
+            )
         sensor, given = column.sensor, units[column.sensor]
         option = f"{sensor}_unit= (--{sensor}-unit)"
         text = column.unit if given is None else given

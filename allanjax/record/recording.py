@@ -13,7 +13,7 @@ from allanjax.base.equality import ByValue
 from allanjax.base.errors import RecordingError
 from allanjax.base.tables import as_html, columns_from, printable
 from allanjax.base.wording import duration
-from allanjax.record.columns import Axis, DeadAxis, default_names, recognise, scales_of
+from allanjax.record.columns import Axis, DeadAxis, axes_of, default_names, recognise, scales_of
 from allanjax.record.completion import (
     Gap,
     bridged,
@@ -132,13 +132,7 @@ class Recording(ByValue):
         if labels is None:
             labels = default_names(len(columns), units, source)
             notes = (f"column order taken as {', '.join(labels)}",)
-        other = [label for label in labels if recognise(label).role != "axis"]
-        if other:
-            raise source.error(
-                f"{other[0]!r} is not an axis of a gyro or an accelerometer; use names such as gyro_x or "
-                "accel_z, and pass other columns with auxiliary="
-            )
-        sensors = {recognise(label).sensor for label in labels}
+        sensors = {axis.sensor for axis in axes_of([recognise(label) for label in labels], units, source)[0]}
         # All columns are named, so that a unit without a use tells of no lost column.
         used = {sensor: unit if sensor in sensors else None for sensor, unit in units.items()}
         options = ReadOptions(gyro_unit=used["gyro"], accel_unit=used["accel"], gaps=gaps)

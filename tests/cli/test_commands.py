@@ -436,7 +436,7 @@ UNIT = "a.csv --rate 100 --gyro-unit deg/s"
 @pytest.mark.parametrize(
     ("words", "code", "word"),
     [
-        ("characterize a.csv", 1, "--rate"),
+        ("characterize a.csv", 1, "--gyro-unit"),
         (f"characterize {UNIT} --start 9 --stop 5", 2, "9 s"),
         (f"characterize {UNIT} --start 300", 1, "--start"),
         (f"critique {UNIT} --out a.csv/inside", 1, "--out"),

@@ -20,7 +20,7 @@ _FAR, _LEAST, _HALF = 20.0, 3, 0.5
 _AT_ONCE = 0.9
 # Probability that samples of a sensor that is alive are equal as often in a row, in a whole record; the
 # fewest that count; and the probability of equal neighbours that is assumed at least.
-_CHANCE, _SHORTEST, _EQUAL = 1e-9, 8, 1e-3
+_CHANCE, _SHORTEST, _EQUAL = 1e-9, 32, 1e-3
 # Share of equal neighbours above which a sensor is slower than its rows.
 _SLOWER = 0.5
 # Bits of the numbers that wrap, and the least distance of the wrapped samples, in standard deviations.

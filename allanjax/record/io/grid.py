@@ -32,6 +32,9 @@ _NEAR_WHOLE, _MOSTLY, _EARLY = 0.2, 0.95, 0.25
 _WITHIN = 0.5
 # Fewest intervals unlike the usual one that show whether they come as regularly as by rounding.
 _SHOWING = 10
+# Resolution of stamps, in intervals, from which grids are sought by the line in the spectrum of the stamps;
+# steps in that spectrum; the power of a line, in that of chance; and stamps over which its phase is followed.
+_COARSE, _BINS, _LINE, _FOLLOWED = 0.15, 1 << 20, 50.0, 512
 # Deviations from an even grid are bounded if means over this many parts scatter less than single stamps do,
 # by this factor; a walk of the stamps would grow by more. The fewest stamps from which this can be told, and
 # the least deviation of a quarter of them, in intervals.
@@ -107,16 +110,74 @@ class Stamps:
             if not force:
                 self._refuse_excluded()
             return self._even(rate, "for evenly spaced samples")
-        found = self._stamped(rate, gaps)
+        coarse = self._is_coarse()
+        found = self._error("", "jitter") if coarse else self._stamped(rate, gaps)
         if isinstance(found, Grid):
             return found
         how = self.why_even()
         if how:
             return self._even(rate, how)
+        places = self._demodulated() if coarse else None
+        if places is not None:
+            return self._with_lost(places, rate, gaps)
+        if coarse:
+            found = self._stamped(rate, gaps)
+            if isinstance(found, Grid):
+                return found
         pieces = self._pieces()
         if pieces:
             raise self._error(self._of_pieces(pieces), "rate")
         raise found
+
+    def _is_coarse(self) -> bool:
+        """Return whether intervals differ as the resolution of the stamps is not small beside them."""
+        intervals = np.diff(self.seconds)
+        typical = float(np.median(intervals))
+        unlike = np.count_nonzero(abs(intervals - typical) > 0.5 * self.step)
+        return bool(self.step > _COARSE * typical and unlike >= _SHOWING)
+
+    def _demodulated(self) -> Int[np.ndarray, " samples"] | None:
+        """Return the places of samples on a grid some of whose stamps are missing, all rounded to steps.
+
+        The spectrum of the stamps has a line at the rate, also where it is below the resolution's. It is
+        sought from the mean rate up to that with the most samples missing, and the grid follows its phase.
+        None if there is no such line.
+        """
+        numbers = np.rint((self.seconds - self.seconds[0]) / self.step).astype(int)
+        numbers = numbers[numbers < _BINS]
+        size, n = int(numbers[-1]) + 1, len(self.seconds)
+        power = abs(np.fft.rfft(np.bincount(numbers) - len(numbers) / size)) ** 2
+        mean = len(numbers) / (size * self.step)
+        rates = np.arange(mean, mean / (1.0 - MOST_MISSING), 0.5 / (size * self.step))
+        if (np.diff(self.seconds) > 0.0).all():
+            rates = rates[rates < (1.0 + 0.5 / size) / self.step]
+        # Rates above half that of the steps are seen as others below it.
+        turns = rates * self.step
+        seen = np.rint(abs(turns - np.rint(turns)) * size).astype(int)
+        own = power[np.minimum(seen, len(power) - 1)] if len(rates) else np.zeros(1)
+        if not own.max() > _LINE * len(numbers):
+            return None
+        interval = 1.0 / float(rates[int(np.argmax(own))])
+        phases = np.exp(2j * np.pi * self.seconds / interval)
+        sums = np.add.reduceat(phases, np.arange(0, n, _FOLLOWED))
+        centers = np.minimum(np.arange(len(sums)) * _FOLLOWED + _FOLLOWED // 2, n - 1)
+        phase = np.interp(np.arange(n), centers, np.unwrap(np.angle(sums)))
+        places = np.rint(self.seconds / interval - phase / (2.0 * np.pi)).astype(int)
+        places -= places[0]
+        # Each sample has a place of its own.
+        return np.maximum.accumulate(places - np.arange(n)) + np.arange(n)
+
+    def _with_lost(self, places: Int[np.ndarray, " samples"], rate: float | None, gaps: bool) -> Grid:
+        """Return the grid of samples at these places, some of which are missing."""
+        lost = int(places[-1]) + 1 - len(places)
+        if not gaps:
+            raise self._error(f"column {self.label!r}: {self._missing(lost)}", "gaps")
+        x = places - places.mean()
+        stamped = 1.0 / float(x @ self.seconds / (x @ x))
+        jitter = float(np.std(np.diff(self.seconds) - np.diff(places) / stamped))
+        note = f"{stamped:.9g} Hz from column {self.label!r}, jitter {format_jitter(jitter)}"
+        note = note if rate is None else f"{rate:.9g} Hz as given (stamps: {note})"
+        return Grid(rate or stamped, f"sample rate {note}", jitter, places, stamped)
 
     def _stamped(self, rate: float | None, gaps: bool) -> "Grid | RecordingError":
         """Return the grid if the stamps are nearly even, or the error if they are not."""
@@ -199,6 +260,9 @@ class Stamps:
 
     def _lost(self) -> int:
         """Return how many samples are missing if intervals are whole multiples of the usual one; else 0."""
+        if self._is_coarse():
+            places = self._demodulated()
+            return 0 if places is None else int(places[-1]) + 1 - len(places)
         intervals = np.diff(self.seconds)
         typical = float(np.median(intervals))
         if not typical > 0.0:
@@ -253,9 +317,9 @@ class Stamps:
 
     def _refuse_excluded(self) -> None:
         """Raise RecordingError if the stamps exclude that samples are evenly spaced."""
-        lost = self._lost()
         forced = "; if the stamps are wrong, add force=True (--force)"
-        if lost and not self.why_even():
+        lost = 0 if self.why_even() else self._lost()
+        if lost:
             raise self._error(f"the samples are not evenly spaced: {self._missing(lost)}{forced}", "gaps")
         if self._unsteadiness() > MAX_RATE_DIFFERENCE:
             pieces = self._pieces()
@@ -266,9 +330,10 @@ class Stamps:
         """Return that samples are missing, and what to do, in words."""
         n = len(self.seconds)
         share = lost / (lost + n)
+        interval = float(self.seconds[-1] - self.seconds[0]) / (n + lost - 1)
         text = (
-            f"intervals are whole multiples of {_short(float(np.median(np.diff(self.seconds))))}, so that "
-            f"{lost:,} of {lost + n:,} samples ({percent(share)}) are missing"
+            f"intervals are whole multiples of {_short(interval)}, so that {lost:,} of {lost + n:,} samples "
+            f"({percent(share)}) are missing"
         )
         segment = "read the longest part without with gaps='segments' (--gaps segments)"
         if share > MOST_MISSING:

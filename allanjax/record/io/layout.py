@@ -76,7 +76,7 @@ class Layout:
         _check_all_used(table, columns, clock, first, options)
         axes, axis_notes = axes_of(columns, table.units_with(options), table.source)
         used = in_clock | {column.index for column in columns}
-        auxiliary = tuple(c for c in found if c.role not in ("axis", "time") and c.index not in used)
+        auxiliary = tuple(c for c in found if c.index not in used and _is_channel(c, first[c.index]))
         return cls(columns, axes, clock, auxiliary, (*notes, *clock_notes, *_notes_on(columns), *axis_notes))
 
     @property
@@ -96,6 +96,13 @@ class Layout:
     def scales(self, rate: float) -> Float[np.ndarray, " axes"]:
         """Factor of each axis from its own unit to the SI rate, at a sample rate [Hz]."""
         return scales_of(self.axes, rate)
+
+
+def _is_channel(column: Column, values: Shaped[np.ndarray, " rows"]) -> bool:
+    """Return whether a column beside axes and clock is read; of other times, those that are numbers."""
+    if column.role == "time":
+        return column.time_part is None and is_numeric(values)
+    return column.role != "axis"
 
 
 def _found(table: Table, first: Columns, options: ReadOptions) -> tuple[list[Column], list[str]]:
