@@ -9,6 +9,7 @@ from jaxtyping import Bool, Float
 from allanjax.base.wording import plain
 from allanjax.record.columns import Column
 from allanjax.record.completion import runs_of
+from allanjax.record.units import Sensor
 
 Values = Float[np.ndarray, "samples axes"]
 Which = Bool[np.ndarray, "samples axes"]
@@ -74,12 +75,13 @@ def without_samples(values: Values, columns: Sequence[Column]) -> Absent:
             f"others: {what}; left out"
         )
     shifted = np.where(at, np.nan, values) if at.any() else values
-    for k, column in enumerate(columns):
-        turned, note = _unwrapped(shifted[:, k], column.label)
-        if note:
-            shifted = shifted.copy() if shifted is values else shifted
-            shifted[:, k] = turned
-            notes.append(note)
+    for sensor in dict.fromkeys(column.sensor for column in columns):
+        own = np.array([column.sensor == sensor for column in columns])
+        unwrapped, wrapped_notes = _unwrapped(shifted[:, own], sensor)
+        if wrapped_notes:
+            shifted = np.array(shifted)
+            shifted[:, own] = unwrapped
+            notes += wrapped_notes
     for sensor in dict.fromkeys(column.sensor for column in columns):
         own = np.array([column.sensor == sensor for column in columns])
         held = _held(shifted[:, own])
@@ -143,22 +145,37 @@ def _held(values: Values) -> Bool[np.ndarray, " samples"]:
     return held
 
 
-def _unwrapped(x: Float[np.ndarray, " samples"], label: str) -> tuple[Float[np.ndarray, " samples"], str]:
-    """Return the samples of an axis with those that have wrapped shifted back, and a note; "" if none has."""
+def _unwrapped(values: Values, sensor: Sensor | None) -> tuple[Values, list[str]]:
+    """Return the samples of a sensor with wrapped ones shifted back, and a note if there are any."""
+    turns = [_turn(x) for x in values.T]
+    turn = max(turns)
+    if not turn:
+        return values, []
+    # Counts of both signs that were read as positive ones, on all axes, or those beyond the largest.
+    positive = np.fmin.reduce(values, axis=None) >= 0.0
+    beyond = values >= 0.5 * turn if positive else values > 0.0
+    beyond &= positive | (np.array(turns) > 0.0)
+    bits = int(np.log2(turn / min(_step(x) for x, own in zip(values.T, turns, strict=True) if own)))
+    count = int(np.count_nonzero(beyond))
+    return np.where(beyond, values - turn, values), [
+        f"{sensor}: {count:,} samples have wrapped at {bits} bits; shifted back"
+    ]
+
+
+def _turn(x: Float[np.ndarray, " samples"]) -> float:
+    """Return the range of the numbers of an axis if some of its samples have wrapped; else 0."""
     low, high = _ends(x)
     is_high = x > 0.5 * (low + high)
     above, below = x[is_high], x[~is_high & np.isfinite(x)]
     if len(above) < _LEAST or len(below) < _LEAST:
-        return x, ""
+        return 0.0
     spread = float(max(above.std(), below.std()))
     if not 0.0 < _APART * spread < float(above.mean() - below.mean()):
-        return x, ""
+        return 0.0
     step = _step(x)
     for bits in _BITS:
         turn = 2.0**bits * step
         in_range = (low >= 0.0 and high < turn) or (low >= -0.5 * turn and high < 0.5 * turn)
         if in_range and float(below.min()) + turn - float(above.max()) < max(spread, 2.0 * step):
-            count = min(len(above), len(below))
-            turned = np.where(is_high, x - turn, x)
-            return turned, f"{label!r}: {count:,} samples have wrapped at {bits} bits; shifted back"
-    return x, ""
+            return turn
+    return 0.0

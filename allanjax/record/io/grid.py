@@ -110,6 +110,9 @@ class Stamps:
             if not force:
                 self._refuse_excluded()
             return self._even(rate, "for evenly spaced samples")
+        pieces = self._pieces() if self._unsteadiness() > MAX_RATE_DIFFERENCE else []
+        if pieces:
+            raise self._error(self._of_pieces(pieces), "rate")
         coarse = self._is_coarse()
         found = self._error("", "jitter") if coarse else self._stamped(rate, gaps)
         if isinstance(found, Grid):
@@ -124,17 +127,16 @@ class Stamps:
             found = self._stamped(rate, gaps)
             if isinstance(found, Grid):
                 return found
-        pieces = self._pieces()
-        if pieces:
-            raise self._error(self._of_pieces(pieces), "rate")
         raise found
 
     def _is_coarse(self) -> bool:
         """Return whether intervals differ as the resolution of the stamps is not small beside them."""
         intervals = np.diff(self.seconds)
         typical = float(np.median(intervals))
+        if (intervals < 0.0).any():
+            return False
         unlike = np.count_nonzero(abs(intervals - typical) > 0.5 * self.step)
-        return bool(self.step > _COARSE * typical and unlike >= _SHOWING)
+        return bool(self.step > _COARSE * np.mean(intervals) and unlike >= _SHOWING)
 
     def _demodulated(self) -> Int[np.ndarray, " samples"] | None:
         """Return the places of samples on a grid some of whose stamps are missing, all rounded to steps.
@@ -157,7 +159,12 @@ class Stamps:
         own = power[np.minimum(seen, len(power) - 1)] if len(rates) else np.zeros(1)
         if not own.max() > _LINE * len(numbers):
             return None
-        interval = 1.0 / float(rates[int(np.argmax(own))])
+        best = float(rates[int(np.argmax(own))])
+        alike = rates[own > 0.5 * own.max()]
+        if (abs(alike / best - 1.0) > MAX_RATE_DIFFERENCE).any():
+            # Steps longer than the interval do not tell a rate from its mirror image.
+            return None
+        interval = 1.0 / best
         phases = np.exp(2j * np.pi * self.seconds / interval)
         sums = np.add.reduceat(phases, np.arange(0, n, _FOLLOWED))
         centers = np.minimum(np.arange(len(sums)) * _FOLLOWED + _FOLLOWED // 2, n - 1)
@@ -206,8 +213,6 @@ class Stamps:
                 f"{self._gap(np.flatnonzero(long), typical, drawn)}, or if no sample is missing, {IGNORE}",
                 "gaps",
             )
-        if self._unsteadiness() > MAX_RATE_DIFFERENCE and self._pieces():
-            return self._error("", "rate")
         places = np.concatenate([[0], np.cumsum(steps)]).astype(int)
         measured = int(places[-1]) / float(times[-1] - times[0])
         note = f"{measured:.9g} Hz from column {self.label!r}, jitter {format_jitter(jitter)}"
@@ -293,7 +298,7 @@ class Stamps:
             return []
         runs: list[list[int]] = [[levels[0]]]
         for k in levels[1:]:
-            same = abs(usual[k] / usual[runs[-1][-1]] - 1.0) < MAX_RATE_DIFFERENCE
+            same = abs(usual[k] / float(np.mean([usual[j] for j in runs[-1]])) - 1.0) < MAX_RATE_DIFFERENCE
             if same:
                 runs[-1].append(k)
             else:
@@ -318,13 +323,12 @@ class Stamps:
     def _refuse_excluded(self) -> None:
         """Raise RecordingError if the stamps exclude that samples are evenly spaced."""
         forced = "; if the stamps are wrong, add force=True (--force)"
+        pieces = self._pieces() if self._unsteadiness() > MAX_RATE_DIFFERENCE else []
+        if pieces:
+            raise self._error(f"{self._of_pieces(pieces)}{forced}", "rate")
         lost = 0 if self.why_even() else self._lost()
         if lost:
             raise self._error(f"the samples are not evenly spaced: {self._missing(lost)}{forced}", "gaps")
-        if self._unsteadiness() > MAX_RATE_DIFFERENCE:
-            pieces = self._pieces()
-            if pieces:
-                raise self._error(f"{self._of_pieces(pieces)}{forced}", "rate")
 
     def _missing(self, lost: int) -> str:
         """Return that samples are missing, and what to do, in words."""

@@ -99,9 +99,9 @@ class Layout:
 
 
 def _is_channel(column: Column, values: Shaped[np.ndarray, " rows"]) -> bool:
-    """Return whether a column beside axes and clock is read; of other times, those that are numbers."""
+    """Return whether a column beside axes and clock is read; of other times, numbers that may be others."""
     if column.role == "time":
-        return column.time_part is None and is_numeric(values)
+        return recognise(column.label).role == "auxiliary" and is_numeric(values)
     return column.role != "axis"
 
 

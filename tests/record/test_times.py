@@ -1,0 +1,156 @@
+"""What stamps tell: even samples, missing ones, pieces of other rates, clocks; truth is what made them."""
+
+import re
+
+import numpy as np
+import pandas as pd
+import pytest
+from imu_columns import noted, refused
+
+import allanjax as aj
+
+# White noise of 0.3 deg/√h, which a wrong rate would change.
+DENSITY, N = 0.005, 8000
+
+
+def samples(rate, n=N, seed=1):
+    return np.random.default_rng(seed).normal(0.0, DENSITY * np.sqrt(rate), (n, 3))
+
+
+def frame(times, x, label="time [s]", **more):
+    axes = {f"gyro_{axis} [deg/s]": column for axis, column in zip("xyz", x.T, strict=True)}
+    return pd.DataFrame({label: times, **more, **axes})
+
+
+@pytest.fixture
+def read(tmp_path):
+    def read(table, **options):
+        table.to_parquet(path := tmp_path / "imu.parquet")
+        return aj.read(path, **options)
+
+    return read
+
+
+def density(recording):
+    """White noise [deg/s/√Hz] from the differences of neighbours."""
+    return np.sqrt(np.mean(np.diff(recording.values, axis=0) ** 2) / 2.0 / recording.rate) * 180.0 / np.pi
+
+
+def is_right(recording, rate, n=N):
+    """The rate to a thousandth, and the noise within 3 %, four standard errors of 16,000 differences."""
+    assert (recording.n, recording.rate) == (n, pytest.approx(rate, rel=1e-3))
+    assert density(recording) == pytest.approx(DENSITY, rel=0.03)
+
+
+@pytest.mark.parametrize("rate", [476.0, 800.0, 980.0, 1600.0, 2000.0])
+def test_stamps_rounded_to_a_millisecond_are_even(read, rate):
+    """Whether neighbours have equal stamps or not; filling in has nothing to do."""
+    table = frame(np.floor(1e6 + 1e3 * np.arange(N) / rate).astype(int), samples(rate), "timestamp_ms")
+    for options in ({}, {"gaps": "fill"}, {"gaps": "segments"}, {"time": "uniform"}):
+        recording = read(table, **options)
+        is_right(recording, rate)
+        assert recording.missing is None
+    assert noted(read(table), "rounded to 1 ms")
+
+
+@pytest.mark.parametrize("step", [0.0, 1e-3])
+@pytest.mark.parametrize(("rate", "share"), [(200.0, 0.1), (476.0, 0.04), (800.0, 0.2)])
+def test_a_link_that_loses_samples_at_random(read, rate, share, step):
+    """Stamps of the sensor that jitter, or are rounded to 0.2 to 0.8 of the interval."""
+    rng = np.random.default_rng(3)
+    kept = np.sort(rng.permutation(np.arange(1, N))[: int((1.0 - share) * N)])
+    times = (
+        np.floor(kept / rate / step) * step if step else kept / rate + rng.normal(0.0, 0.02 / rate, len(kept))
+    )
+    table = frame(times, samples(rate)[kept])
+    lost = int(kept[-1] - kept[0]) + 1 - len(kept)
+    refused(lambda: read(table), f"{lost:,} |gaps='fill'|gaps='segments'")
+    refused(lambda: read(table, time="uniform"), "not evenly spaced|missing|--force")
+    is_right(read(table, gaps="fill"), rate, int(kept[-1] - kept[0]) + 1)
+    assert read(table, time="uniform", force=True).rate < (1.0 - 0.8 * share) * rate
+
+
+def test_stamps_of_arrival_scatter_about_even_times(read):
+    """In bursts of eight, as a buffer is read; and each late by a random time, none before the one before."""
+    even, rng = np.arange(N) / 200.0, np.random.default_rng(4)
+    bursts = np.ceil((np.arange(N) + 1) / 8.0) * 0.04 + np.repeat(0.002 * rng.random(N // 8), 8)
+    late = np.maximum.accumulate(even + rng.exponential(0.006, N))
+    for times in (bursts, late):
+        is_right(read(frame(times, samples(200.0))), 200.0)
+
+
+@pytest.mark.parametrize("after", [100.0, 160.0, 250.0])
+def test_pieces_of_different_rates_are_named_and_can_be_read(read, after):
+    first = 3000
+    times = np.append(np.arange(first) / 200.0, (first - 1) / 200.0 + np.arange(1, N - first + 1) / after)
+    table = frame(times, np.concatenate([samples(200.0, first), samples(after, N - first)]))
+    for options in ({}, {"gaps": "fill"}, {"time": "uniform"}):
+        message = str(refused(lambda o=options: read(table, **o), f"200 Hz until|then {after:g} Hz"))
+        cut = {name: float(time) for name, time in re.findall(r"(start|stop)=([\d.]+)", message)}
+        (edge,) = cut.values()
+        assert edge == pytest.approx(times[first - 1], abs=0.1)
+        assert density(read(table, **cut)) == pytest.approx(DENSITY, rel=0.03)
+
+
+def test_clocks_over_midnight_and_at_the_end_of_summer_time(read):
+    x, k = samples(50.0), np.arange(N)
+    start, steps = pd.Timestamp("2024-10-26 23:59:00"), pd.to_timedelta(20 * k, "ms")
+    clock = (start + steps).strftime("%H:%M:%S.%f").str[:-3]
+    twelve = (start + steps).strftime("%I:%M:%S.%f %p")
+    comma = (start + steps).strftime("%d.%m.%Y %H:%M:%S,%f").str.replace(",", ".")
+    # At three o'clock the clock is set back to two.
+    turned = pd.Timestamp("2024-10-27 02:59:00") + steps - pd.to_timedelta(1 * (k >= 3000), "h")
+    forward = pd.Timestamp("2024-03-31 01:59:00") + steps + pd.to_timedelta(1 * (k >= 3000), "h")
+    local = [times.strftime("%Y-%m-%d %H:%M:%S.%f") for times in (turned, forward)]
+    for times, words in (
+        (clock, "midnight"),
+        (twelve, "midnight"),
+        (comma, ""),
+        *((z, "summer") for z in local),
+    ):
+        recording = read(frame(times.to_numpy(dtype=object), x, "time"))
+        is_right(recording, 50.0)
+        assert not words or noted(recording, words)
+    # With a zone an hour is an hour.
+    zoned = turned.strftime("%Y-%m-%dT%H:%M:%S.%fZ").to_numpy(dtype=object)
+    refused(lambda: read(frame(zoned, x, "time")), "goes back by 3599")
+    broken = clock.to_numpy(dtype=object).copy()
+    broken[77] = "soon"
+    refused(lambda: read(frame(broken, x, "time")), "'time'|'soon'|row 77")
+
+
+def test_of_two_clocks_the_even_one_is_taken(read):
+    """Whatever their order; numbers whose unit only one rate of a sensor allows need none."""
+    boot = 578_933_434_000_000 + 5_000_000 * np.arange(N)
+    unix = 1_737_985_622_323 + 40 * np.ceil((np.arange(N) + 1) / 8.0).astype(np.int64)
+    x = samples(200.0)
+    recordings = [
+        read(frame(boot, x, "t_Android", t_unix=unix)),
+        read(frame(unix, x, "t_unix", t_Android=boot)),
+        read(frame(unix, x, "t_unix", t_Android=boot), time="t_unix, uniform"),
+    ]
+    for recording in recordings:
+        is_right(recording, 200.0)
+    assert noted(recordings[1], "times from t_Android")
+    assert noted(recordings[2], "t_unix")
+
+
+@pytest.mark.parametrize(
+    ("label", "step", "rate"),
+    [("tow [s]", 0.01, 100.0), ("millis", 1, 1000.0), ("micros", 5000, 200.0), ("elapsed [ms]", 4, 250.0)],
+)
+def test_a_column_that_counts_time_is_a_clock_whatever_its_name(read, label, step, rate):
+    is_right(read(frame(step * np.arange(N), samples(rate), label)), rate)
+    # A duration beside samples does not increase.
+    refused(lambda: read(frame(step + 0 * np.arange(N), samples(rate), label)), "no sample rate|--rate")
+
+
+def test_what_is_given_is_used_or_refused(read):
+    """A unit of a sensor that is not there, a unit of times without any."""
+    table = frame(np.arange(N) / 100.0, samples(100.0))
+    refused(lambda: read(table, accel_unit="g"), "accel_unit=|no accelerometer among time [s]")
+    bare = table.drop(columns="time [s]")
+    refused(lambda: read(bare, rate=100.0, time_unit="ms"), "time_unit=|--time")
+    # Columns that are called x, y and z are those of the one sensor whose unit is given.
+    named = table.set_axis(["time [s]", "x", "y", "z"], axis=1)
+    assert read(named, gyro_unit="deg/s").names == ("gyro_x", "gyro_y", "gyro_z")
