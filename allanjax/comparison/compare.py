@@ -72,7 +72,7 @@ class Compared(NamedTuple):
     """A sensor of a comparison.
 
     Attributes:
-        label: what it is called.
+        label: what it is called; "" if it has no name.
         source: what is known of it, in words.
         coefficients: estimates by axis and label [SI]; a data sheet has those of "gyro" and "accel". Beside
             the amplitudes it is the least Allan deviation, `LEAST`.
@@ -112,43 +112,44 @@ class Compared(NamedTuple):
         return np.sqrt(np.asarray(model.sampled(self.rate).allan_variance(time)))
 
 
-def compared(data: Comparable, label: str = "") -> Compared:
+def compared(data: Comparable) -> Compared:
     """A sensor in the form of comparisons; recordings are read and fitted."""
     data = _opened(data)
     if isinstance(data, DataSheet):
         values = {str(sensor): _with_least(data.coefficients(sensor)) for sensor in data.models}
         models = {str(sensor): model for sensor, model in data.models.items()}
         source = f"data sheet: {data.source}" if data.source else "data sheet"
-        return Compared(label or data.name, source, values, data, models, 100.0)
+        return Compared(data.name, source, values, data, models, 100.0)
     if isinstance(data, SensorPreset):
         values = {axis.name: _with_least(axis.estimates) for axis in data.axes}
         models = {axis.name: axis.model for axis in data.axes}
-        rate = data.axes[0].rate
-        return Compared(label or data.name, data.description, values, models, models, rate)
-    found = data if isinstance(data, Fit) else data.fit if isinstance(data, Critique) else fit(data)
+        return Compared(data.name, data.description, values, models, models, data.axes[0].rate)
+    found = data if isinstance(data, Fit) else fit(data)
+    curve = found.curve
     measured = {r.axis.name: r for r in found.results if r.measured}
     values = {name: {**r.coefficients, LEAST: least_deviation(found, r)[0]} for name, r in measured.items()}
     models = {name: r.model for name, r in measured.items()}
-    noise, hours = (found if values else None), found.curve.n / found.curve.rate / 3600.0
-    source = f"fit of {hours:.2g} h at {found.curve.rate:g} Hz"
+    source = f"fit of {curve.n / curve.rate / 3600.0:.2g} h at {curve.rate:g} Hz"
     if not values:
         source += "; not a measurement of the sensor"
-    if not found.curve.determined:
-        source = f"fit of an Allan curve; {found.curve.unknown[0]}"
-    return Compared(label or found.name, source, values, noise, models, found.curve.rate, found.curve)
+    if not curve.determined:
+        source = f"fit of an Allan curve; {curve.unknown[0]}"
+    return Compared(found.name, source, values, found if values else None, models, curve.rate, curve)
 
 
 def _with_least(coefficients: dict[str, Estimate]) -> dict[str, Estimate]:
     """Coefficients with the least Allan deviation that follows from bias instability, 0.664 B."""
-    if (c := coefficients.get(BiasInstability.name())) is None:
+    B = coefficients.get(BiasInstability.name())
+    if B is None:
         return coefficients
-    least = dataclasses.replace(c.times(MINIMUM), label=LEAST, parameter=None, unit=c.unit)
-    return coefficients | {LEAST: least}
+    return coefficients | {LEAST: dataclasses.replace(B.times(MINIMUM), label=LEAST, parameter=None)}
 
 
 def _opened(data: Comparable) -> Any:
-    """What a path or a name stands for; anything else is returned as it is."""
-    if isinstance(data, Fit | Critique | DataSheet | SensorPreset | AllanDeviation):
+    """What a path or a name stands for, and the fit of a critique."""
+    if isinstance(data, Critique):
+        return data.fit
+    if isinstance(data, Fit | DataSheet | SensorPreset | AllanDeviation):
         return data
     if not isinstance(data, str | os.PathLike):
         return as_recording(data)
@@ -172,17 +173,15 @@ LAST = "consumer"
 
 
 @functools.cache
-def grades() -> tuple[Mapping[str, Mapping[tuple[str, str], float]], str]:
-    """Limits [SI] of each grade by sensor and coefficient, the best grade first, and their source."""
+def grades() -> tuple[Mapping[tuple[str, str], Mapping[str, float]], str]:
+    """Limits [SI] by sensor and coefficient, and then by grade, the best first; and their source."""
     tables = tomllib.loads(files(__package__).joinpath("grades.toml").read_text(encoding="utf-8"))
-    source, found = str(tables.pop("source")), {}
-    for name, of_sensor in tables.items():
-        limits = {}
+    source, found = str(tables.pop("source")), dict[tuple[str, str], dict[str, float]]()
+    for grade, of_sensor in tables.items():
         for sensor, quantities in of_sensor.items():
             for label, text in quantities.items():
-                value, unit = parse_quantity(text) or (float("nan"), "")
-                limits[sensor, label] = float(value) * unit_scale(unit, sensor)
-        found[name] = limits
+                value, unit = parse_quantity(text) or (math.nan, "")
+                found.setdefault((sensor, label), {})[grade] = value * unit_scale(unit, sensor)
     return found, source
 
 
@@ -209,15 +208,18 @@ class Difference(NamedTuple):
     @property
     def verdict(self) -> str:
         """ "larger", "smaller", "no" for no difference that is shown, or "" if that cannot be tested."""
-        larger = self.ratio > 1.0 if np.isfinite(self.ratio) else self.interval[0] > 1.0
-        return (
-            "" if self.corrected is None else "no" if not self.differs else "larger" if larger else "smaller"
-        )
+        if self.corrected is None:
+            return ""
+        if not self.differs:
+            return "no"
+        return "larger" if self.ratio > 1.0 or self.interval[0] > 1.0 else "smaller"
 
     def cells(self) -> tuple[str, str, str, str]:
         """Ratio, interval, p-value and verdict of the printed table."""
-        ratio = significant(self.ratio) if np.isfinite(self.ratio) else ""
-        p = "" if self.corrected is None else plain(self.corrected, 2) if self.corrected >= 1e-4 else "< 10⁻⁴"
+        ratio = "" if math.isnan(self.ratio) else significant(self.ratio)
+        p = ""
+        if self.corrected is not None:
+            p = plain(self.corrected, 2) if self.corrected >= 1e-4 else "< 10⁻⁴"
         return ratio, _between(self.interval), p, self.verdict
 
 
@@ -230,31 +232,29 @@ def difference(one: Estimate, reference: Estimate) -> Difference:
     if one.detected and reference.detected:
         error = math.hypot(one.log_std, reference.log_std)
         log = math.log(one.value / reference.value)
-        ends = tuple(math.exp(log + side * TWO_SIDED_95 * error) for side in (-1.0, 1.0))
+        reach = TWO_SIDED_95 * error
         p = 2.0 * float(ndtr(-abs(log) / error)) if error > 0.0 else None
-        return Difference(math.exp(log), (ends[0], ends[1]), p)
-    p = None
-    if one.detected or reference.detected:
-        p = _beyond_chance(*((one, reference) if one.detected else (reference, one)))
-    ends = (0.0, math.inf)
+        return Difference(math.exp(log), (math.exp(log - reach), math.exp(log + reach)), p)
+    low, high, p = 0.0, math.inf, None
     if one.detected and reference.upper_limit:
-        ends = (one.interval[0] / reference.upper_limit, math.inf)
-    elif reference.detected and one.upper_limit is not None:
-        ends = (0.0, one.upper_limit / reference.interval[0] if reference.interval[0] > 0.0 else math.inf)
-    return Difference(math.nan, ends, p)
+        low = one.interval[0] / reference.upper_limit
+        p = _beyond_chance(one, reference.upper_limit)
+    elif reference.detected and one.upper_limit:
+        if reference.interval[0] > 0.0:
+            high = one.upper_limit / reference.interval[0]
+        p = _beyond_chance(reference, one.upper_limit)
+    return Difference(math.nan, (low, high), p)
 
 
-def _beyond_chance(seen: Estimate, limited: Estimate) -> float | None:
+def _beyond_chance(seen: Estimate, limit: float) -> float:
     """p-value of the equality of an amplitude that is detected and one of which a limit is known.
 
     The square of the second is normal about zero, with a standard deviation by its limit; the logarithm of
     the first is normal, and the probability is the mean over its law.
     """
-    if not limited.upper_limit:
-        return None
     x, weight = np.polynomial.hermite_e.hermegauss(_NODES)
     square = seen.value**2 * np.exp(2.0 * seen.log_std * x)
-    tail = 2.0 * ndtr(-square * ONE_SIDED_95 / limited.upper_limit**2)
+    tail = 2.0 * ndtr(-square * ONE_SIDED_95 / limit**2)
     return float(weight @ tail / weight.sum())
 
 
@@ -285,22 +285,27 @@ class Row(NamedTuple):
     @property
     def symbol(self) -> str:
         """Symbol or short name of the coefficient."""
-        if self.label == LEAST:
-            return "min σ"
-        return SYMBOLS.get(self.label) or title_of(self.label, self.sensor)
+        symbols = {**SYMBOLS, LEAST: "min σ"}
+        return symbols.get(self.label) or title_of(self.label, self.sensor)
 
     def is_lacking(self, one: Compared) -> bool:
         """Whether N, B or K, or what the coefficient follows from, is not given for a sensor."""
         return _WANTED.get(self.label) in one.lacking(self.axis)
 
-    def cells(self, sensors: Sequence[Compared]) -> Iterator[tuple[str, ...]]:
-        """Row of the printed table for each sensor that has the coefficient, or lacks what others have."""
-        if all(c is None for c in self.estimates):
-            return
+    def entries(
+        self, sensors: Sequence[Compared]
+    ) -> Iterator[tuple[Compared, Estimate | None, Difference]]:
+        """Each sensor that has the coefficient, or lacks what others have, with its estimate."""
         for one, c, d in zip(sensors, self.estimates, self.differences, strict=True):
             if c is not None or self.is_lacking(one):
+                yield one, c, d or _UNTESTED
+
+    def cells(self, sensors: Sequence[Compared]) -> Iterator[tuple[str, ...]]:
+        """Rows of the printed table; none if no sensor has the coefficient."""
+        if any(self.estimates):
+            for one, c, d in self.entries(sensors):
                 value = NOT_GIVEN if c is None else detail(c, self.unit)[2]
-                yield self.axis, self.symbol, one.label, value, *(d or _UNTESTED).cells()
+                yield self.axis, self.symbol, one.label, value, *d.cells()
 
 
 class Growth(NamedTuple):
@@ -378,19 +383,21 @@ class Comparison(ByValue, Tabled):
 
         return pd.DataFrame(self._records())
 
-    def _records(self) -> list[dict[str, Any]]:
-        rows = []
+    def _records(self) -> Iterator[dict[str, Any]]:
         for row in self.rows:
-            for one, c, tested in zip(self.sensors, row.estimates, row.differences, strict=True):
-                if c is None and not row.is_lacking(one):
-                    continue
-                d, known = tested or _UNTESTED, {"coefficient": row.label, "value": math.nan}
-                reason = None if c is not None else NOT_GIVEN
-                of = {"axis": row.axis, "sensor": one.label, "reason": reason, "ratio": d.ratio}
-                of |= zip(("ratio_lower_95", "ratio_upper_95"), d.interval, strict=True)
-                of |= {"p_value": d.corrected, "differs": d.differs}
-                rows.append((known if c is None else c.row()) | of)
-        return rows
+            for one, c, d in row.entries(self.sensors):
+                known = {"coefficient": row.label, "value": math.nan} if c is None else c.row()
+                yield {
+                    **known,
+                    "axis": row.axis,
+                    "sensor": one.label,
+                    "reason": NOT_GIVEN if c is None else None,
+                    "ratio": d.ratio,
+                    "ratio_lower_95": d.interval[0],
+                    "ratio_upper_95": d.interval[1],
+                    "p_value": d.corrected,
+                    "differs": d.differs,
+                }
 
     def to_dict(self) -> dict[str, Any]:
         """The comparison as plain dictionaries and lists, for JSON; growth in SI."""
@@ -403,7 +410,7 @@ class Comparison(ByValue, Tabled):
             "schema_version": SCHEMA_VERSION,
             "sensors": [{"name": one.label, "source": one.source} for one in self.sensors],
             "reference": self.labels[self.reference],
-            "coefficients": in_json(self._records()),
+            "coefficients": in_json([*self._records()]),
             "horizons_s": list(HORIZONS),
             "grades": [dict(zip(_GRADES, row, strict=True)) for row in self.grades],
             "growth": in_json(growths),
@@ -440,7 +447,7 @@ class Comparison(ByValue, Tabled):
 
         It is the first whose limit is not exceeded, at both ends of the 95 % interval; "" without limits.
         """
-        limits = [(name, of[kind, label]) for name, of in grades()[0].items() if (kind, label) in of]
+        limits = grades()[0].get((kind, label), {})
         rows = [row for row in self.rows if (row.sensor, row.label) == (kind, label)]
         known = [c for c in (row.estimates[k] for row in rows) if c and (c.detected or c.upper_limit)]
         if not limits or not known:
@@ -449,7 +456,7 @@ class Comparison(ByValue, Tabled):
         # An interval that is nan, as of a curve of unknown length, leaves the value.
         low = max(np.fmin(c.interval[0], c.value) if c.detected else 0.0 for c in known)
         high = max(np.fmax(c.interval[1], c.value) if c.detected else c.upper_limit or 0.0 for c in known)
-        names = [next((name for name, limit in limits if x <= limit), LAST) for x in (low, high)]
+        names = [next((name for name, limit in limits.items() if x <= limit), LAST) for x in (low, high)]
         return " to ".join(dict.fromkeys(names))
 
     def _notes(self) -> Iterator[str]:
@@ -505,8 +512,9 @@ def compare(*data: Comparable, labels: Sequence[str] | None = None, reference: i
         raise AllanjaxError("give two or more sensors to compare, e.g. compare(fit, 'BMI088')")
     if labels is not None and len(labels) != len(data):
         raise AllanjaxError(f"{len(labels)} labels for {len(data)} sensors: give one for each")
-    sensors = [compared(*pair) for pair in zip(data, labels or [""] * len(data), strict=True)]
-    names = numbered([one.label or "sensor" for one in sensors])
+    sensors = [compared(one) for one in data]
+    called = labels or [""] * len(data)
+    names = numbered([own or one.label or "sensor" for own, one in zip(called, sensors, strict=True)])
     sensors = [one._replace(label=name) for one, name in zip(sensors, names, strict=True)]
     if isinstance(reference, str):
         if reference not in names:
@@ -519,13 +527,12 @@ def compare(*data: Comparable, labels: Sequence[str] | None = None, reference: i
 
 def axes_of(sensors: Sequence[Compared]) -> list[str]:
     """Axes of all sensors, gyros first; a sensor of a data sheet is one only where no one else has axes."""
-    every = list(dict.fromkeys(axis for one in sensors for axis in (one.coefficients or one.models)))
-    single = [axis for axis in every if "_" in axis]
-    return [
-        axis
-        for sensor in SENSORS
-        for axis in [a for a in single if a.startswith(sensor)] or [a for a in every if a == sensor]
-    ]
+    every = dict.fromkeys(axis for one in sensors for axis in one.coefficients)
+    axes = list[str]()
+    for sensor in SENSORS:
+        own = [axis for axis in every if axis.startswith(sensor)]
+        axes += [axis for axis in own if "_" in axis] or own
+    return axes
 
 
 def _rows(sensors: Sequence[Compared], reference: int, axes: Sequence[str]) -> tuple[Row, ...]:
@@ -542,12 +549,10 @@ def _rows(sensors: Sequence[Compared], reference: int, axes: Sequence[str]) -> t
         for label in sorted(names, key=lambda name: [*SYMBOLS, *names].index(name)):
             estimates = tuple(of.get(label) for of in every)
             base = estimates[reference]
-            pairs = tuple(
-                None if k == reference or c is None or base is None else difference(c, base)
-                for k, c in enumerate(estimates)
-            )
+            pairs = [difference(c, base) if c and base else None for c in estimates]
+            pairs[reference] = None
             sensor: Any = axis.partition("_")[0]
-            rows.append(Row(axis, sensor, label, estimates, pairs))
+            rows.append(Row(axis, sensor, label, estimates, tuple(pairs)))
     tested = [d for row in rows for d in row.differences if d is not None]
     corrected = iter(holm([d.p_value for d in tested]))
     return tuple(
@@ -591,9 +596,9 @@ def _growths(k: int, one: Compared) -> Iterator[Growth]:
     except AllanjaxError:
         # Its axes make no navigator.
         return
-    for name, quantity, channel in (("heading", "attitude", "down"), ("position", "position", "north")):
-        own = next((g for g in grown.growths if g.quantity == quantity), None)
-        if own is not None and channel in own.channels:
+    shown = {"attitude": ("heading", "down"), "position": ("position", "north")}
+    for own in grown.values():
+        name, channel = shown.get(own.quantity, ("", ""))
+        if channel in own.channels:
             at = own.channels.index(channel)
-            numbers = own.error[at], own.lower[at], own.upper[at]
-            yield growth(name, "", channel in own.bounds, *numbers)
+            yield growth(name, "", channel in own.bounds, own.error[at], own.lower[at], own.upper[at])
