@@ -114,17 +114,17 @@ class Compared(NamedTuple):
 
 def compared(data: Comparable) -> Compared:
     """A sensor in the form of comparisons; recordings are read and fitted."""
-    data = _opened(data)
-    if isinstance(data, DataSheet):
-        values = {str(sensor): _with_least(data.coefficients(sensor)) for sensor in data.models}
-        models = {str(sensor): model for sensor, model in data.models.items()}
-        source = f"data sheet: {data.source}" if data.source else "data sheet"
-        return Compared(data.name, source, values, data, models, 100.0)
-    if isinstance(data, SensorPreset):
-        values = {axis.name: _with_least(axis.estimates) for axis in data.axes}
-        models = {axis.name: axis.model for axis in data.axes}
-        return Compared(data.name, data.description, values, models, models, data.axes[0].rate)
-    found = data if isinstance(data, Fit) else fit(data)
+    known = _opened(data)
+    if isinstance(known, DataSheet):
+        values = {str(sensor): _with_least(known.coefficients(sensor)) for sensor in known.models}
+        models = {str(sensor): model for sensor, model in known.models.items()}
+        source = f"data sheet: {known.source}" if known.source else "data sheet"
+        return Compared(known.name, source, values, known, models, 100.0)
+    if isinstance(known, SensorPreset):
+        values = {axis.name: _with_least(axis.estimates) for axis in known.axes}
+        models = {axis.name: axis.model for axis in known.axes}
+        return Compared(known.name, known.description, values, models, models, known.axes[0].rate)
+    found = known if isinstance(known, Fit) else fit(known)
     curve = found.curve
     measured = {r.axis.name: r for r in found.results if r.measured}
     values = {name: {**r.coefficients, LEAST: least_deviation(found, r)[0]} for name, r in measured.items()}
@@ -235,7 +235,8 @@ def difference(one: Estimate, reference: Estimate) -> Difference:
         reach = TWO_SIDED_95 * error
         p = 2.0 * float(ndtr(-abs(log) / error)) if error > 0.0 else None
         return Difference(math.exp(log), (math.exp(log - reach), math.exp(log + reach)), p)
-    low, high, p = 0.0, math.inf, None
+    low, high = 0.0, math.inf
+    p = None
     if one.detected and reference.upper_limit:
         low = one.interval[0] / reference.upper_limit
         p = _beyond_chance(one, reference.upper_limit)
@@ -292,9 +293,7 @@ class Row(NamedTuple):
         """Whether N, B or K, or what the coefficient follows from, is not given for a sensor."""
         return _WANTED.get(self.label) in one.lacking(self.axis)
 
-    def entries(
-        self, sensors: Sequence[Compared]
-    ) -> Iterator[tuple[Compared, Estimate | None, Difference]]:
+    def entries(self, sensors: Sequence[Compared]) -> Iterator[tuple[Compared, Estimate | None, Difference]]:
         """Each sensor that has the coefficient, or lacks what others have, with its estimate."""
         for one, c, d in zip(sensors, self.estimates, self.differences, strict=True):
             if c is not None or self.is_lacking(one):
@@ -315,19 +314,19 @@ class Growth(NamedTuple):
         sensor: number of the sensor in the comparison.
         name: an axis, whose error is that of the integrated rate; or "heading" or "position", the errors of a
             navigator at rest, see `navigate`.
-        value, lower, upper: at each horizon; the ends are nan for what is taken as exact.
         is_bound: whether the value is a lower bound, as not all of N, B and K are given.
         reasons: why there is no value: it is beyond three times the record, or neither B nor K is given for
             the axis; "" where there is.
+        value, lower, upper: at each horizon; the ends are nan for what is taken as exact.
     """
 
     sensor: int
     name: str
+    is_bound: bool
+    reasons: tuple[str, ...]
     value: Float[np.ndarray, " t"]
     lower: Float[np.ndarray, " t"]
     upper: Float[np.ndarray, " t"]
-    is_bound: bool
-    reasons: tuple[str, ...]
 
     @property
     def place(self) -> int:
@@ -401,11 +400,11 @@ class Comparison(ByValue, Tabled):
 
     def to_dict(self) -> dict[str, Any]:
         """The comparison as plain dictionaries and lists, for JSON; growth in SI."""
-        growths = [
-            {"sensor": self.labels[g.sensor], "of": g.name, "reasons": [why or None for why in g.reasons]}
-            | {name: getattr(g, name) for name in ("value", "lower", "upper", "is_bound")}
-            for g in self.growths
-        ]
+        growths = []
+        for g in self.growths:
+            reasons = [why or None for why in g.reasons]
+            numbers = {name: getattr(g, name) for name in ("value", "lower", "upper", "is_bound")}
+            growths.append({"sensor": self.labels[g.sensor], "of": g.name, "reasons": reasons, **numbers})
         return {
             "schema_version": SCHEMA_VERSION,
             "sensors": [{"name": one.label, "source": one.source} for one in self.sensors],
@@ -553,12 +552,11 @@ def _rows(sensors: Sequence[Compared], reference: int, axes: Sequence[str]) -> t
             pairs[reference] = None
             sensor: Any = axis.partition("_")[0]
             rows.append(Row(axis, sensor, label, estimates, tuple(pairs)))
-    tested = [d for row in rows for d in row.differences if d is not None]
-    corrected = iter(holm([d.p_value for d in tested]))
-    return tuple(
-        row._replace(differences=tuple(d and d._replace(corrected=next(corrected)) for d in row.differences))
-        for row in rows
-    )
+    corrected = iter(holm([d.p_value for row in rows for d in row.differences if d is not None]))
+    for k, row in enumerate(rows):
+        tested = [d and d._replace(corrected=next(corrected)) for d in row.differences]
+        rows[k] = row._replace(differences=tuple(tested))
+    return tuple(rows)
 
 
 def drift(
@@ -585,8 +583,7 @@ def _growths(k: int, one: Compared) -> Iterator[Growth]:
 
     def growth(name: str, absent: str, is_bound: bool, *numbers: Float[np.ndarray, " t"]) -> Growth:
         reasons = tuple(_TOO_SHORT if beyond else absent for beyond in far)
-        value, low, high = np.where(np.array(reasons) == "", numbers, np.nan)
-        return Growth(k, name, value, low, high, is_bound, reasons)
+        return Growth(k, name, is_bound, reasons, *np.where(np.array(reasons) == "", numbers, np.nan))
 
     for name, noise in sensors.axes.items():
         absent = "" if noise.drifts else NOT_GIVEN
