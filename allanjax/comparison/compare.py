@@ -46,7 +46,8 @@ from allanjax.noise.simulate import SENSORS as PRESETS
 from allanjax.noise.simulate import SensorPreset
 from allanjax.noise.terms import AngleRandomWalk, BiasInstability
 from allanjax.record.io.given import RecordingLike, as_recording
-from allanjax.record.units import SENSORS, Sensor, parse_quantity, unit_scale
+from allanjax.record.recording import Axis
+from allanjax.record.units import SENSORS, SI, Sensor, parse_quantity, unit_scale
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -521,25 +522,26 @@ def compare(*data: Comparable, labels: Sequence[str] | None = None, reference: i
         reference = names.index(reference)
     elif not 0 <= reference < len(sensors):
         raise AllanjaxError(f"reference= is the number of a sensor, 0 to {len(sensors) - 1}, not {reference}")
-    return Comparison(tuple(sensors), reference, _rows(sensors, reference, axes_of(sensors)))
+    return Comparison(tuple(sensors), reference, _rows(sensors, reference))
 
 
-def axes_of(sensors: Sequence[Compared]) -> list[str]:
+def axes_of(sensors: Sequence[Compared]) -> list[Axis]:
     """Axes of all sensors, gyros first; a sensor of a data sheet is one only where no one else has axes."""
     every = dict.fromkeys(axis for one in sensors for axis in one.coefficients)
-    axes = list[str]()
+    axes = list[Axis]()
     for sensor in SENSORS:
-        own = [axis for axis in every if axis.startswith(sensor)]
-        axes += [axis for axis in own if "_" in axis] or own
+        own = [name for name in every if name.startswith(sensor)]
+        own = [name for name in own if "_" in name] or own
+        axes += [Axis(name, sensor, SI[sensor]["rate"]) for name in own]
     return axes
 
 
-def _rows(sensors: Sequence[Compared], reference: int, axes: Sequence[str]) -> tuple[Row, ...]:
+def _rows(sensors: Sequence[Compared], reference: int) -> tuple[Row, ...]:
     """Amplitudes of the terms that any sensor has on an axis, with corrected p-values."""
     rows = []
-    for axis in axes:
-        every = [one.of(axis) for one in sensors]
-        lacking = {symbol for one in sensors for symbol in one.lacking(axis)}
+    for axis in axes_of(sensors):
+        every = [one.of(axis.name) for one in sensors]
+        lacking = {symbol for one in sensors for symbol in one.lacking(axis.name)}
         found = [c for of in every for c in of.values() if c.is_amplitude or c.label == LEAST]
         held = [c.label for c in found if c.detected or c.held or c.label in _WANTED]
         held += [label for label, symbol in _WANTED.items() if symbol in lacking]
@@ -550,8 +552,7 @@ def _rows(sensors: Sequence[Compared], reference: int, axes: Sequence[str]) -> t
             base = estimates[reference]
             pairs = [difference(c, base) if c and base else None for c in estimates]
             pairs[reference] = None
-            sensor: Any = axis.partition("_")[0]
-            rows.append(Row(axis, sensor, label, estimates, tuple(pairs)))
+            rows.append(Row(axis.name, axis.sensor, label, estimates, tuple(pairs)))
     corrected = iter(holm([d.p_value for row in rows for d in row.differences if d is not None]))
     for k, row in enumerate(rows):
         tested = [d and d._replace(corrected=next(corrected)) for d in row.differences]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -42,9 +42,13 @@ class Table:
     def of(cls, columns: Sequence[Column], caption: str = "") -> Table:
         """The table that a result prints."""
         shown = [c for c in columns if any(c.cells)]
-        rows = zip(*(c.cells for c in shown), strict=True)
-        heads = [Cell(c.head.replace("\n", " ")) for c in shown]
-        return cls(heads, [[Cell(cell.strip()) for cell in row] for row in rows], caption)
+        rows = zip(*(map(str.strip, c.cells) for c in shown), strict=True)
+        return cls.of_texts([c.head.replace("\n", " ") for c in shown], rows, caption)
+
+    @classmethod
+    def of_texts(cls, heads: Iterable[str], rows: Iterable[Iterable[str]], caption: str = "") -> Table:
+        """The table of these texts, which have no units."""
+        return cls([*map(Cell, heads)], [[*map(Cell, row)] for row in rows], caption)
 
 
 @dataclasses.dataclass(frozen=True)

@@ -46,7 +46,7 @@ from allanjax.presentation.page.blocks import (
     View,
 )
 from allanjax.record.recording import Axis, Recording
-from allanjax.record.units import SI, unit_scale
+from allanjax.record.units import unit_scale
 from allanjax.spectrum.psd import PowerSpectrum
 
 if TYPE_CHECKING:
@@ -61,7 +61,7 @@ _STYLES = {"pass": "verdict good", "fail": "verdict bad", "undecided": "verdict 
 
 
 class Reported(NamedTuple):
-    """What a page shows of one recording; what is missing is left out or follows from the rest.
+    """The results about one recording that a page shows; it leaves out what is None.
 
     Attributes:
         fit: its fit.
@@ -86,21 +86,24 @@ class Reported(NamedTuple):
 
 def of_record(one: Reported) -> Iterator[Section]:
     """Sections about one recording; what is not given is left out."""
-    fit, critique, recording, spectrum = one[:4]
+    fit, critique = one.fit, one.critique
     findings = () if critique is None else critique.findings
     shown = Row([*coefficients(fit), *charts.curves(fit)])
     yield Section("Result", [*verdict(one), shown, *warnings(fit, critique)])
     if one.limits is not None:
         told = [Text(line, "note") for line in one.limits._notes()]
         yield Section("Limits", [*map(Table.of, one.limits._tables()), *told])
-    if spectrum is not None:
-        yield Section("Spectrum", [Row(charts.densities(fit, spectrum, findings))])
-    if recording is not None:
-        yield Section("Record", [Row(charts.over_time(recording, fit, critique))])
-        if recording.n >= _LONG:
-            dynamic = dynamic_allan(recording)
-            yield Section("Through time", [Row(charts.through_time(dynamic, critique))], printed=False)
-    if residuals := charts.residuals(fit, spectrum):
+    if one.spectrum is not None:
+        yield Section("Spectrum", [Row(charts.densities(fit, one.spectrum, findings))])
+    if one.recording is not None:
+        # With a critique the recording is what was criticized.
+        fitted = fit if critique is None else None
+        yield Section("Record", [Row(charts.over_time(one.recording, fitted, findings))])
+        if one.recording.n >= _LONG:
+            dynamic = dynamic_allan(one.recording)
+            yield Section("Through time", [Row(charts.through_time(dynamic, findings))], printed=False)
+    residuals = charts.residuals(fit, one.spectrum)
+    if residuals:
         yield Section("Residuals", [Row(residuals)], printed=False)
     if critique is not None:
         # Here, as the critic imports slow libraries.
@@ -140,8 +143,7 @@ def verdict(one: Reported) -> Iterator[Text]:
         yield Text(f"The noise model fits {where}.", "verdict good" if alone else "")
     if also:
         yield Text(f"Also found: {_first(also)}.")
-    size = fit._title()
-    yield Text(" · ".join([size, *map(": ".join, one.conditions.items())]), "note")
+    yield Text(" · ".join([fit._title(), *map(": ".join, one.conditions.items())]), "note")
 
 
 def _first(texts: Sequence[str]) -> str:
@@ -225,8 +227,8 @@ def details(fit: Fit, check: Check | None) -> Iterator[Block]:
     if check is not None:
         yield Text(f"Check: {check.summary()}.")
         lengths = [(n.coefficient.axis.name, n.coefficient.symbol, n.describe()) for n in check.lengths]
-        rows = [[*map(Cell, row)] for row in lengths]
-        yield Fold("How long to record", [Table([*map(Cell, ("axis", "coefficient", "length"))], rows)])
+        table = Table.of_texts(("axis", "coefficient", "length"), lengths)
+        yield Fold("How long to record", [table])
     yield from (Text(f"Note: {note}", "note") for note in fit.notes)
 
 
@@ -256,7 +258,7 @@ def made(origin: Mapping[str, str]) -> Table:
         "with": ", ".join(f"{name} {version(name)}" for name in ("jax", "numpy", "scipy", "optimistix")),
         "Python": f"{platform.python_version()}, {platform.system()} {platform.machine()}",
     }
-    return Table([Cell("what"), Cell("value")], [[Cell(name), Cell(text)] for name, text in known.items()])
+    return Table.of_texts(("what", "value"), known.items())
 
 
 # --- Comparisons and fleets ---------------------------------------------------------------------------------
@@ -264,20 +266,17 @@ def made(origin: Mapping[str, str]) -> Table:
 
 def of_comparison(comparison: Comparison) -> Iterator[Section]:
     """Curves over one another, the table of coefficients, drift and growth of errors."""
-    tested = [
-        d for row in comparison.rows for d in row.differences if d is not None and d.differs is not None
-    ]
-    different = sum(bool(d.differs) for d in tested)
+    every = [d.differs for row in comparison.rows for d in row.differences if d is not None]
+    tested = [differs for differs in every if differs is not None]
     reference = comparison.labels[comparison.reference]
-    verdict = f"{different} of {len(tested)} coefficients differ from those of {reference}."
+    verdict = f"{sum(tested)} of {len(tested)} coefficients differ from those of {reference}."
     if not tested:
         verdict = "Whether coefficients differ cannot be tested without their errors."
-    coefficients, graded, *growths = (Table.of(columns) for columns in comparison._tables())
-    names = axes_of(comparison.sensors)
-    axes = [Axis(x, of, SI[of]["rate"]) for x in names for of in SENSORS if x.startswith(of)]
+    tables = [*map(Table.of, comparison._tables())]
+    axes = axes_of(comparison.sensors)
     over = charts.each(axes, "{}", lambda own: [_view(comparison, axis) for axis in own])
-    yield Section("Comparison", [Text(verdict, "verdict"), Row(over), Row([coefficients, graded])])
-    yield Section("Drift and growth of errors", [Row(growths)])
+    yield Section("Comparison", [Text(verdict, "verdict"), Row(over), Row(tables[:2])])
+    yield Section("Drift and growth of errors", [Row(tables[2:])])
     yield Section("Sensors", [Text(line, "note") for line in comparison._notes()])
 
 
@@ -288,8 +287,8 @@ def _view(comparison: Comparison, axis: Axis) -> View:
         time = _TIMES
         if one.curve is not None and name in one.curve.names:
             k, time = one.curve.names.index(name), one.curve.cluster_time
-            low, high = (end[:, k] for end in one.curve.confidence_interval(0.95))
-            traces.append(Trace(group, "measured", time, one.curve.deviation[:, k], low, high))
+            ends = one.curve.confidence_interval(0.95)
+            traces.append(charts.measured(group, k, time, one.curve.deviation, ends))
         if one.model(name) is not None:
             kind = "at least" if one.curve is None and one.lacking(name) else "model"
             traces.append(Trace(group, kind, time, one.deviation(name, time), look="line"))
@@ -314,8 +313,9 @@ def of_fleet(fleet: FleetResult, pages: Mapping[str, str]) -> Iterator[Section]:
         errors = [Text(f"{error['file']}: {error['message']}", "warning") for error in fleet.errors]
         blocks.append(Fold(f"{len(errors)} errors", errors))
     yield Section("Result", blocks)
-    if charts := list(_distributions(table)):
-        yield Section("Distributions", [Row(charts)])
+    distributions = [*_distributions(table)]
+    if distributions:
+        yield Section("Distributions", [Row(distributions)])
     yield Section("Units", [_units(table, pages)])
 
 
@@ -330,7 +330,8 @@ def _distributions(table: pd.DataFrame) -> Iterator[Chart]:
         for group, axis in enumerate(axes):
             own = of[of["axis"] == axis].sort_values("value")
             share, names = 100.0 * (np.arange(len(own)) + 0.5) / len(own), own["recording"].tolist()
-            value, low, high = (si * own[key].to_numpy() for key in ("value", "lower_95", "upper_95"))
+            value = si * own["value"].to_numpy()
+            low, high = (si * own[key].to_numpy() for key in ("lower_95", "upper_95"))
             traces.append(Trace(group, "units", share, value, low, high, labels=range(len(own)), names=names))
             for k in np.flatnonzero(own["outlying"] | own["odd_record"]).tolist():
                 text = f"{names[k]} {times(own['ratio'].iloc[k])}"
