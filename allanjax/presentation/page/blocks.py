@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -12,7 +12,7 @@ from jaxtyping import Float
 from allanjax.base.tables import Column
 
 
-@dataclasses.dataclass(frozen=True)
+@dataclass(frozen=True)
 class Text:
     """A paragraph, with the class by which the style sheet marks a verdict or a warning."""
 
@@ -20,7 +20,12 @@ class Text:
     style: str = ""
 
 
-@dataclasses.dataclass(frozen=True)
+def texts(lines: Iterable[str], style: str) -> list[Text]:
+    """A paragraph of this style for each line."""
+    return [Text(line, style) for line in lines]
+
+
+@dataclass(frozen=True)
 class Cell:
     """Text of a cell in usual units, the same in SI, and a remark below."""
 
@@ -30,7 +35,7 @@ class Cell:
     si_remark: str = ""
 
 
-@dataclasses.dataclass(frozen=True)
+@dataclass(frozen=True)
 class Table:
     """A table; the first column has the names of the rows."""
 
@@ -51,7 +56,7 @@ class Table:
         return cls([*map(Cell, heads)], [[*map(Cell, row)] for row in rows], caption)
 
 
-@dataclasses.dataclass(frozen=True)
+@dataclass(frozen=True)
 class Units:
     """A long table that the browser sorts and filters, with some hundred rows at a time.
 
@@ -66,7 +71,7 @@ class Units:
     marked: Sequence[int] = ()
 
 
-@dataclasses.dataclass(frozen=True)
+@dataclass(frozen=True)
 class Method:
     """The paragraph on the method: a fit's objective, and the terms that were given, if any."""
 
@@ -74,14 +79,14 @@ class Method:
     terms: str
 
 
-@dataclasses.dataclass(frozen=True)
+@dataclass(frozen=True)
 class Exports:
     """Texts to copy, by the names under which they are chosen."""
 
     texts: Sequence[tuple[str, str]]
 
 
-@dataclasses.dataclass(frozen=True)
+@dataclass(frozen=True)
 class Fold:
     """Blocks that are shown at a click."""
 
@@ -90,14 +95,14 @@ class Fold:
     is_open: bool = False
 
 
-@dataclasses.dataclass(frozen=True)
+@dataclass(frozen=True)
 class Row:
     """Blocks side by side where the screen is wide enough."""
 
     blocks: Sequence[Block]
 
 
-@dataclasses.dataclass(frozen=True)
+@dataclass(frozen=True)
 class Trace:
     """A curve of a chart, in SI.
 
@@ -122,7 +127,7 @@ class Trace:
     names: Sequence[str] = ()
 
 
-@dataclasses.dataclass(frozen=True)
+@dataclass(frozen=True)
 class Mark:
     """A named point of a chart in SI, or without y a line at x; of a group, or of all."""
 
@@ -132,7 +137,7 @@ class Mark:
     group: int | None = None
 
 
-@dataclasses.dataclass(frozen=True)
+@dataclass(frozen=True)
 class Span:
     """A named part of the x axis."""
 
@@ -142,7 +147,7 @@ class Span:
     group: int | None = None
 
 
-@dataclasses.dataclass(frozen=True)
+@dataclass(frozen=True)
 class View:
     """One of the pictures that a chart switches between.
 
@@ -173,7 +178,7 @@ class View:
     hidden: Sequence[str] = ()
 
 
-@dataclasses.dataclass(frozen=True)
+@dataclass(frozen=True)
 class Chart:
     """A chart with one or more views.
 
@@ -191,7 +196,7 @@ class Chart:
 Block: TypeAlias = Text | Table | Units | Method | Exports | Fold | Row | Chart
 
 
-@dataclasses.dataclass(frozen=True)
+@dataclass(frozen=True)
 class Section:
     """A part of a page with its heading, on paper only if it is `printed`."""
 

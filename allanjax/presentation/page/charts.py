@@ -28,6 +28,8 @@ from allanjax.spectrum.psd import PowerSpectrum, density_unit
 _POINTS, _BLOCKS = 160, 1000
 # Every how many of these points terms are drawn, and the least share of a term that is.
 _EVERY, _LITTLE = 2, 1e-3
+# Layer of what lies by chance about zero, which is hidden at first where there are several axes.
+_CHANCE = "95 % by chance"
 # Horizons of the predicted drift [s], and their number.
 _HORIZONS, _COUNT = (1.0, 36_000.0), 55
 # Cluster times that are shown through time.
@@ -87,9 +89,11 @@ def curves(fit: Fit) -> list[Chart]:
         for group, axis in enumerate(own):
             k, result = curve.names.index(axis.name), fit[axis.name]
             points = measured(group, k, curve.cluster_time, curve.deviation, ends)
-            stated = fit.model_curve(axis.name, time) if result.converged else ()
-            traces += _curve(points, result, curve.rate, time, stated)
-            marks += _marks(fit, k, group)
+            if result.converged:
+                traces += _curve(points, result, curve.rate, time, fit.model_curve(axis.name, time))
+            else:
+                traces.append(points)
+            marks += _marks(result, points)
         yield _view(own, traces, **allan(own[0]), marks=marks, single=True)
 
     return each(_axes(fit), "{}", views)
@@ -107,9 +111,10 @@ def _axes(fit: Fit) -> list[Axis]:
 
 
 def _view(own: Sequence[Axis], traces: Sequence[Trace], **more: Any) -> View:
-    """View of axes; terms are hidden at first where there are several."""
-    hidden = ["terms"] if len(own) > 1 and any(trace.layer == "terms" for trace in traces) else []
-    return View(groups=[axis.name for axis in own], traces=traces, **{"hidden": hidden, **more})
+    """View of axes; if there are several, it has layers that are hidden at first."""
+    layers = {trace.layer for trace in traces}
+    hidden = [layer for layer in ("terms", _CHANCE) if layer in layers and len(own) > 1]
+    return View(groups=[axis.name for axis in own], traces=traces, hidden=hidden, **more)
 
 
 def _curve(
@@ -119,9 +124,6 @@ def _curve(
 
     The model is what the fit states: Allan deviations with the ends of their interval, or densities.
     """
-    if not result.converged:
-        yield points
-        return
     group, (line, *ends) = points.group, stated
     low, high = ends or (None, None)
     at, drawn = (_powers(result, rate, to, bool(ends)) for to in (points.x, x))
@@ -150,21 +152,20 @@ def _powers(result: AxisFit, rate: float, x: _Places, is_allan: bool) -> dict[st
     return {label: 2.0 * np.asarray(term.sampled_psd(x, rate)) for label, term in known.items()}
 
 
-def _marks(fit: Fit, k: int, group: int) -> Iterator[Mark]:
-    """N at 1 s, K at 3 s, the minimum of the curve, and 0.664 B."""
-    curve, result = fit.curve, fit.results[k]
+def _marks(result: AxisFit, points: Trace) -> Iterator[Mark]:
+    """N at 1 s, K at 3 s, the minimum of the measured curve, and 0.664 B."""
     every = result.coefficients.values() if result.converged else ()
     known = {c.label: c for c in every if c.detected and c.measured and not c.held}
     for label, at in (("angle_random_walk", 1.0), ("rate_random_walk", 3.0)):
         if label in known:
-            yield Mark(f"{known[label].symbol} at {at:g} s", at, known[label].value, group)
+            yield Mark(f"{known[label].symbol} at {at:g} s", at, known[label].value, points.group)
     # The longest times are so uncertain that the lowest of them is lower by chance.
-    high = curve.confidence_interval(0.95)[1][:, k]
-    lowest = int(np.argmin(np.fmax(high, curve.deviation[:, k])))
-    at = float(curve.cluster_time[lowest])
-    yield Mark("minimum", at, float(curve.deviation[lowest, k]), group)
+    high: Any = points.high
+    lowest = int(np.argmin(np.fmax(high, points.y)))
+    at = float(points.x[lowest])
+    yield Mark("minimum", at, float(points.y[lowest]), points.group)
     if "bias_instability" in known:
-        yield Mark("0.664·B", at, MINIMUM * known["bias_instability"].value, group)
+        yield Mark("0.664·B", at, MINIMUM * known["bias_instability"].value, points.group)
 
 
 def densities(fit: Fit, spectrum: PowerSpectrum, findings: Sequence[Finding]) -> list[Chart]:
@@ -226,14 +227,13 @@ def residuals(fit: Fit, spectrum: PowerSpectrum | None) -> list[Chart]:
 
 def _residual(own: Sequence[Axis], residuals: Sequence[Residual], labels: Sequence[str]) -> View:
     """Residuals of axes with their 68 % intervals, and where 95 % of each lie by chance."""
-    traces, chance = list[Trace](), "95 % by chance"
+    traces = []
     for group, residual in enumerate(residuals):
-        p = residual.points
+        p, (low, high) = residual.points, residual.chance
         traces.append(Trace(group, "residual", p.x, p.y, p.y - p.spread[0], p.y + p.spread[1]))
-        low, high = residual.chance
-        traces.append(Trace(group, chance, p.x, np.zeros_like(p.y), low, high, "dashes"))
-    more = {"log": "x", "interval": "68 %", "hidden": [chance] if len(own) > 1 else []}
-    return _view(own, traces, **_labels((*labels, "measured/model − 1"), ("%", 1.0), "%"), **more)
+        traces.append(Trace(group, _CHANCE, p.x, np.zeros_like(p.y), low, high, "dashes"))
+    shown = _labels((*labels, "measured/model − 1"), ("%", 1.0), "%")
+    return _view(own, traces, **shown, log="x", interval="68 %")
 
 
 def thinned(group: int, x: Float[np.ndarray, " n"], rate: float, most: int = _BLOCKS) -> Trace:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import datetime
 import platform
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from importlib.metadata import version
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -44,6 +44,7 @@ from allanjax.presentation.page.blocks import (
     Trace,
     Units,
     View,
+    texts,
 )
 from allanjax.record.recording import Axis, Recording
 from allanjax.record.units import unit_scale
@@ -91,8 +92,8 @@ def of_record(one: Reported) -> Iterator[Section]:
     shown = Row([*coefficients(fit), *charts.curves(fit)])
     yield Section("Result", [*verdict(one), shown, *warnings(fit, critique)])
     if one.limits is not None:
-        told = [Text(line, "note") for line in one.limits._notes()]
-        yield Section("Limits", [*map(Table.of, one.limits._tables()), *told])
+        tables = map(Table.of, one.limits._tables())
+        yield Section("Limits", [*tables, *texts(one.limits._notes(), "note")])
     if one.spectrum is not None:
         yield Section("Spectrum", [Row(charts.densities(fit, one.spectrum, findings))])
     if one.recording is not None:
@@ -146,10 +147,10 @@ def verdict(one: Reported) -> Iterator[Text]:
     yield Text(" · ".join([fit._title(), *map(": ".join, one.conditions.items())]), "note")
 
 
-def _first(texts: Sequence[str]) -> str:
+def _first(told: Sequence[str]) -> str:
     """The first three texts, and how many there are more."""
-    more = [f"and {len(texts) - 3} more"] if len(texts) > 3 else []
-    return "; ".join([*texts[:3], *more])
+    more = [f"and {len(told) - 3} more"] if len(told) > 3 else []
+    return "; ".join([*told[:3], *more])
 
 
 def _found(one: Reported) -> tuple[list[str], list[str]]:
@@ -179,7 +180,7 @@ def warnings(fit: Fit, critique: Critique | None) -> Iterator[Text]:
     known = dict.fromkeys((*fit.warnings, *(critique.warnings if critique is not None else ())))
     reasons = {**fit.not_measured, **fit.without_result}
     left = [f"{axis}: {why}" for axis, why in reasons.items() if not any(why in text for text in known)]
-    yield from (Text(text, "warning") for text in (*known, *left))
+    yield from texts((*known, *left), "warning")
 
 
 def coefficients(fit: Fit) -> list[Table]:
@@ -188,12 +189,15 @@ def coefficients(fit: Fit) -> list[Table]:
     for sensor, own in charts.by_sensor([r.axis for r in fit.results if r.converged]).items():
         results = [fit[axis.name] for axis in own]
         found = [{c.label: c for c in r.coefficients.values() if c.term not in r.further} for r in results]
-        every = {label: c for of in found for label, c in of.items()}
-        known = [x for x in dict.fromkeys((*SYMBOLS, *every)) if x in every]
-        labels = [x for x in known if x in MAIN or _shown(of[x] for of in found if x in of)]
-        rows = [[_head(every[label]), *(_cell(of.get(label)) for of in found)] for label in labels]
-        heads = [SENSORS[sensor].capitalize(), *(r.axis.name for r in results)]
+        rows = []
+        for label in dict.fromkeys((*SYMBOLS, *(label for of in found for label in of))):
+            cells = [of.get(label) for of in found]
+            known = [c for c in cells if c is not None]
+            is_shown = label in MAIN or any(c.held or (c.detected and c.measured) for c in known)
+            if known and is_shown:
+                rows.append([_head(known[-1]), *map(_cell, cells)])
         rows.append([Cell("fit"), *(Cell(r.word) for r in results)])
+        heads = (SENSORS[sensor].capitalize(), *(axis.name for axis in own))
         tables.append(Table([*map(Cell, heads)], rows, "± 1σ, with 95 % intervals below"))
     return tables
 
@@ -201,11 +205,6 @@ def coefficients(fit: Fit) -> list[Table]:
 def _head(c: Estimate) -> Cell:
     """Symbol, name and units of a coefficient."""
     return Cell(c.symbol, remark=f"{c.title} [{c.usual_unit}]", si_remark=f"{c.title} [{c.si_unit}]")
-
-
-def _shown(every: Iterable[Estimate]) -> bool:
-    """Whether a coefficient is detected on any axis."""
-    return any(c.held or (c.detected and c.measured) for c in every)
 
 
 def _cell(c: Estimate | None) -> Cell:
@@ -229,7 +228,7 @@ def details(fit: Fit, check: Check | None) -> Iterator[Block]:
         lengths = [(n.coefficient.axis.name, n.coefficient.symbol, n.describe()) for n in check.lengths]
         table = Table.of_texts(("axis", "coefficient", "length"), lengths)
         yield Fold("How long to record", [table])
-    yield from (Text(f"Note: {note}", "note") for note in fit.notes)
+    yield from texts((f"Note: {note}" for note in fit.notes), "note")
 
 
 # --- Exports and origin -------------------------------------------------------------------------------------
@@ -237,16 +236,16 @@ def details(fit: Fit, check: Check | None) -> Iterator[Block]:
 
 def exports(fit: Fit) -> Iterator[Block]:
     """What `export` writes for each target that takes this fit, and the tables as CSV."""
-    texts = []
+    found = []
     for name, target in TARGETS.items():
         try:
-            texts.append((f"{target.title} ({name})", exported(fit, name).text))
+            found.append((f"{target.title} ({name})", exported(fit, name).text))
         except AllanjaxError:
             # The target needs what this recording does not have.
             continue
-    texts += [("Coefficients as CSV", coefficients_csv(fit)), ("Allan deviations as CSV", curve_csv(fit))]
+    found += [("Coefficients as CSV", coefficients_csv(fit)), ("Allan deviations as CSV", curve_csv(fit))]
     yield Text("Noise parameters for estimators, autopilots and simulators, with formulas in the comments.")
-    yield Exports(texts)
+    yield Exports(found)
 
 
 def made(origin: Mapping[str, str]) -> Table:
@@ -277,7 +276,7 @@ def of_comparison(comparison: Comparison) -> Iterator[Section]:
     over = charts.each(axes, "{}", lambda own: [_view(comparison, axis) for axis in own])
     yield Section("Comparison", [Text(verdict, "verdict"), Row(over), Row(tables[:2])])
     yield Section("Drift and growth of errors", [Row(tables[2:])])
-    yield Section("Sensors", [Text(line, "note") for line in comparison._notes()])
+    yield Section("Sensors", texts(comparison._notes(), "note"))
 
 
 def _view(comparison: Comparison, axis: Axis) -> View:
@@ -307,11 +306,11 @@ def of_fleet(fleet: FleetResult, pages: Mapping[str, str]) -> Iterator[Section]:
     blocks.append(Row([*map(Table.of, tables)]))
     if fleet.checks:
         blocks += [Text(f"{verdict_of(fleet.checks)}."), Row([Table.of(table_of_limits(fleet.checks))])]
-    blocks += [Text(line, "note") for line in fleet.lines(ROWS) if line not in fleet.notes]
-    blocks += [Text(note, "warning") for note in fleet.notes]
+    blocks += texts((line for line in fleet.lines(ROWS) if line not in fleet.notes), "note")
+    blocks += texts(fleet.notes, "warning")
     if fleet.errors:
-        errors = [Text(f"{error['file']}: {error['message']}", "warning") for error in fleet.errors]
-        blocks.append(Fold(f"{len(errors)} errors", errors))
+        errors = (f"{error['file']}: {error['message']}" for error in fleet.errors)
+        blocks.append(Fold(f"{len(fleet.errors)} errors", texts(errors, "warning")))
     yield Section("Result", blocks)
     distributions = [*_distributions(table)]
     if distributions:
@@ -350,8 +349,8 @@ def _units(table: pd.DataFrame, pages: Mapping[str, str]) -> Units:
     for c in known.itertuples():
         limit = None if np.isnan(c.upper_limit_95 or np.nan) else f"< {c.upper_limit_95:.3g}"
         cells[c.recording, c.coefficient, c.axis] = float(f"{c.value:.4g}") if c.detected else limit
-    for unit, *texts in zip(*(table[key] for key in ("recording", "remarks", "warnings")), strict=True):
-        parts.setdefault(unit, {}).update(dict.fromkeys(filter(None, texts)))
+    for unit, *said in zip(*(table[key] for key in ("recording", "remarks", "warnings")), strict=True):
+        parts.setdefault(unit, {}).update(dict.fromkeys(filter(None, said)))
     rows = []
     for unit, remarks in parts.items():
         first = [unit, pages[unit]] if unit in pages else unit

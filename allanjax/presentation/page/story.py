@@ -15,7 +15,7 @@ from allanjax.critic.stage import Stage
 from allanjax.estimate.result import Fit
 from allanjax.noise.estimate import title_of
 from allanjax.presentation import critique_story as story
-from allanjax.presentation.page.blocks import Block, Chart, Fold, Table, Text, Trace, View
+from allanjax.presentation.page.blocks import Block, Chart, Fold, Table, Text, Trace, View, texts
 from allanjax.presentation.page.charts import allan, line, over, psd, thinned
 from allanjax.record.units import Sensor, unit_scale
 
@@ -68,7 +68,7 @@ def findings_in_full(critique: Critique) -> Iterator[Block]:
         if rows:
             blocks.append(Table.of_texts(("", "before", "after"), rows))
         yield Fold(title, [*blocks, *_evidence(critique, finding)], is_open=k < _OPEN)
-    yield from (Text(line, "note") for line in story.axis_lines(critique, brief=False))
+    yield from texts(story.axis_lines(critique, brief=False), "note")
 
 
 def _changed(finding: Finding, sensor: Sensor) -> Iterator[list[str]]:
