@@ -66,7 +66,7 @@ _Times: TypeAlias = Float[np.ndarray, " t"]
 
 
 class _Noise(NamedTuple):
-    """An axis with its coefficients and model, its likely sets of terms, and which of N, B and K are not given."""
+    """An axis: its coefficients, model and likely sets of terms, and which of N, B and K are not given."""
 
     axis: Axis
     coefficients: Mapping[str, Estimate]
