@@ -98,11 +98,14 @@ class Compared(NamedTuple):
 
     def of(self, axis: str) -> Mapping[str, Estimate]:
         """Coefficients of an axis, or in a data sheet of its sensor; empty if there are none."""
-        return self.coefficients.get(axis) or self.coefficients.get(axis.partition("_")[0]) or {}
+        return self._own(self.coefficients, axis) or {}
 
     def model(self, axis: str) -> Model | None:
         """Noise model of an axis, that of its sensor for a data sheet."""
-        return self.models.get(axis) or self.models.get(axis.partition("_")[0])
+        return self._own(self.models, axis)
+
+    def _own(self, known: Mapping[str, Any], axis: str) -> Any:
+        return known.get(axis) or known.get(axis.partition("_")[0])
 
     def deviation(self, axis: str, time: Float[np.ndarray, " t"]) -> Float[np.ndarray, " t"]:
         """Allan deviation of an axis's model at cluster times [s]; a fit states its own."""
@@ -330,13 +333,13 @@ class Growth(NamedTuple):
     upper: Float[np.ndarray, " t"]
 
     @property
-    def place(self) -> int:
-        """Place of its kind among those of `SHOWN`."""
-        return next(k for k, begin in enumerate(SHOWN) if self.name.startswith(begin))
+    def kind(self) -> str:
+        """Its key in `SHOWN`."""
+        return next(begin for begin in SHOWN if self.name.startswith(begin))
 
     def cells(self) -> Iterator[str]:
         """Values with their intervals and units."""
-        unit, size = [*SHOWN.values()][self.place]
+        unit, size = SHOWN[self.kind]
         for value, low, high, why in zip(self.value, self.lower, self.upper, self.reasons, strict=True):
             to, by = ("km", 1e3) if unit == "m" and value > 1e5 else (unit, size)
             ends = f" ({format_range(low / by, high / by)})" if np.isfinite(high) else ""
@@ -363,7 +366,7 @@ class Comparison(ByValue, Tabled):
         """Errors after the `HORIZONS`: of each axis's integrated rate, and of a navigator at rest."""
         every = (g for k, one in enumerate(self.sensors) for g in _growths(k, one))
         # Of a data sheet, the drift of any axis stands below those of the axes.
-        return tuple(sorted(every, key=lambda g: (g.place, "_" not in g.name, g.name)))
+        return tuple(sorted(every, key=lambda g: ([*SHOWN].index(g.kind), "_" not in g.name, g.name)))
 
     @property
     def labels(self) -> tuple[str, ...]:
@@ -447,12 +450,13 @@ class Comparison(ByValue, Tabled):
 
         It is the first whose limit is not exceeded, at both ends of the 95 % interval; "" without limits.
         """
-        limits = grades()[0].get((kind, label), {})
+        limits = grades()[0].get((kind, label))
+        if limits is None:
+            return ""
         rows = [row for row in self.rows if (row.sensor, row.label) == (kind, label)]
         known = [c for c in (row.estimates[k] for row in rows) if c and (c.detected or c.upper_limit)]
-        if not limits or not known:
-            lacks = any(row.is_lacking(self.sensors[k]) for row in rows)
-            return NOT_GIVEN if limits and lacks else ""
+        if not known:
+            return NOT_GIVEN if any(row.is_lacking(self.sensors[k]) for row in rows) else ""
         # An interval that is nan, as of a curve of unknown length, leaves the value.
         low = max(np.fmin(c.interval[0], c.value) if c.detected else 0.0 for c in known)
         high = max(np.fmax(c.interval[1], c.value) if c.detected else c.upper_limit or 0.0 for c in known)

@@ -221,24 +221,23 @@ class _Record(NamedTuple):
 
     def _own_form(self) -> _Form:
         """The same by the estimates and their errors, as if these were normal."""
-        places = _places(self.model)
-        found = np.full((3, len(self.model) + len(free_shapes(self.model))), np.nan)
-        for p in self.model.parameters:
+        columns = _columns(self.model)
+        found = np.full((3, len(columns)), np.nan)
+        for k, p in enumerate(columns):
             c = self.coefficients.get(p.label)
             if c is None or c.held:
                 continue
             if p.parameter.is_amplitude:
-                found[:, places[p.label]] = c.value**2, c.power_std**2, 0.0
+                found[:, k] = c.value**2, c.power_std**2, 0.0
             elif c.detected:
                 distance = c.value - p.parameter.lower
-                found[:, places[p.label]] = np.log(distance), (c.std / distance) ** 2, 0.0
+                found[:, k] = np.log(distance), (c.std / distance) ** 2, 0.0
         return found
 
 
-def _places(model: Model) -> dict[str, int]:
-    """Columns of the forms by label: powers of the terms, then shapes."""
-    amplitudes = {p.label: p.term for p in model.parameters if p.parameter.is_amplitude}
-    return amplitudes | {p.label: len(model) + k for k, p in enumerate(free_shapes(model))}
+def _columns(model: Model) -> list[ModelParameter]:
+    """What the columns of the forms are: amplitudes of the terms, then shapes."""
+    return [*(p for p in model.parameters if p.parameter.is_amplitude), *free_shapes(model)]
 
 
 def _settled(records: Sequence[_Record]) -> tuple[Float[np.ndarray, "3 records params"], _Terms]:
@@ -264,11 +263,12 @@ def _coefficients(
 ) -> dict[str, JointCoefficient]:
     """The coefficients, with what is common to all recordings."""
     model, result = records[0].model, {}
+    labels = [p.label for p in _columns(model)]
     forms, power = _settled(records)
     for p in reported(model):
         if not p.free:
             continue
-        k = _places(model)[p.label]
+        k = labels.index(p.label)
         known = (one for one, error in zip(records, forms[1, :, k], strict=True) if np.isfinite(error))
         own = {one.name: one.coefficients[p.label] for one in known if p.label in one.coefficients}
         if len(own) < 2:
@@ -296,15 +296,13 @@ def _coefficients(
 
 def _hypotheses(curve: AllanDeviation, model: Model, found: AxisFit) -> Hypotheses:
     """A curve of one axis at the best fit of a model."""
-    power, shape = np.zeros((1, len(model))), np.zeros((1, len(free_shapes(model))))
-    values = {label: c.value for label, c in (found.coefficients if found.converged else {}).items()}
-    for p in model.parameters:
-        if p.parameter.is_amplitude:
-            power[:, p.term] = np.nan_to_num(values.get(p.label, 0.0)) ** 2
-    for k, p in enumerate(free_shapes(model)):
-        u = np.log(values.get(p.label, np.nan) - p.parameter.lower)
-        # Without the term any shape will do.
-        shape[:, k] = u if np.isfinite(u) else 0.5 * np.log(curve.n) - np.log(curve.rate)
+    columns, terms = _columns(model), len(model)
+    known = found.coefficients if found.converged else {}
+    value = np.array([known[p.label].value if p.label in known else np.nan for p in columns])
+    power = np.nan_to_num(value[None, :terms]) ** 2
+    u = np.log(value[terms:] - [p.parameter.lower for p in columns[terms:]])
+    # Without the term any shape will do.
+    shape = np.where(np.isfinite(u), u, 0.5 * np.log(curve.n) - np.log(curve.rate))[None]
     tangent = AllanDesign.of(model, curve).tangent(shape)
     error = 2.0 * np.nan_to_num([found.discrepancy])
     none = np.zeros(power.shape, bool)
@@ -332,7 +330,7 @@ def _common(
     common = estimate_of(p, axis, value, std, ends, detected, bayes_factor=factor)
     # Where there is no common value, there is no scatter about it.
     scale = value - lower if detected else np.nan
-    size, *ends, limit = (scale * relative).tolist()
+    (size, *ends), limit = (scale * relative[:3]).tolist(), float(scale * relative[3])
     # Its interval is far from symmetric, so that there is no standard deviation.
     scatter = estimate_of(p, axis, size, np.nan, [*ends, np.nan, np.nan, limit], ends[0] > 0.0)
     return common, dataclasses.replace(scatter, upper_limit=limit if np.isfinite(limit) else None)

@@ -180,11 +180,11 @@ class Laws:
         q may be a function of the variance. Newton's steps from zero do not go beyond the solution, as 1/Q is
         concave in the variance.
         """
-        law = q if callable(q) else lambda _: self.dof if q is None else q
-        variance: Any = 0.0
+        q, variance = self.dof if q is None else q, 0.0
         for _ in range(_STEPS):
             at = self.fitted(variance)
-            step = at.q * (at.q / law(variance) - 1.0) / np.maximum(at.slope, 1e-300)
+            target = q(variance) if callable(q) else q
+            step = at.q * (at.q / target - 1.0) / np.maximum(at.slope, 1e-300)
             variance, before = np.maximum(variance + step, 0.0), variance
             if np.allclose(variance, before, 1e-13, 0.0):
                 break

@@ -17,6 +17,7 @@ from allanjax.estimate.result import AxisFit, Fit
 from allanjax.navigation.likely import sensors_of
 from allanjax.noise.datasheet import MINIMUM
 from allanjax.noise.estimate import title_of
+from allanjax.noise.terms.deterministic import Transient
 from allanjax.presentation import allan_figure, draw, spectrum_figure
 from allanjax.presentation.draw import SENSORS, Residual
 from allanjax.presentation.page.blocks import Chart, Mark, Span, Trace, View
@@ -144,12 +145,13 @@ def _curve(
 
 def _powers(result: AxisFit, rate: float, x: _Places, is_allan: bool) -> dict[str, _Places]:
     """Allan variances at times, or one-sided densities, of the terms that have one, by labels."""
-    terms = dict(zip(result.term_labels, result.model.sampled(rate).processes, strict=True))
-    if is_allan:
-        known = {label: term for label, term in terms.items() if not isinstance(term, allan_figure.Transient)}
-        return {label: np.asarray(term.allan_variance(x)) for label, term in known.items()}
-    known = {label: term for label, term in terms.items() if not term.deterministic}
-    return {label: 2.0 * np.asarray(term.sampled_psd(x, rate)) for label, term in known.items()}
+    found = {}
+    for label, term in zip(result.term_labels, result.model.sampled(rate).processes, strict=True):
+        if is_allan and not isinstance(term, Transient):
+            found[label] = np.asarray(term.allan_variance(x))
+        elif not is_allan and not term.deterministic:
+            found[label] = 2.0 * np.asarray(term.sampled_psd(x, rate))
+    return found
 
 
 def _marks(result: AxisFit, points: Trace) -> Iterator[Mark]:

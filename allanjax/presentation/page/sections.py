@@ -321,8 +321,8 @@ def of_fleet(fleet: FleetResult, pages: Mapping[str, str]) -> Iterator[Section]:
 def _distributions(table: pd.DataFrame) -> Iterator[Chart]:
     """Values of each coefficient in ascending order, with their intervals; outlying units are named."""
     found = table[table["detected"] & table["measured"]]
-    parts: Mapping[Any, Any] = dict(iter(found.groupby(["sensor", "coefficient"], sort=False)))
-    for (sensor, coefficient), of in parts.items():
+    parts: Any = found.groupby(["sensor", "coefficient"], sort=False)
+    for (sensor, coefficient), of in parts:
         traces, marks = list[Trace](), list[Mark]()
         unit, axes = of["unit"].iloc[0], list(of["axis"].unique())
         si, name = unit_scale(unit, sensor), title_of(coefficient, sensor)

@@ -23,8 +23,18 @@ from allanjax.record.units import Sensor, unit_scale
 _BLOCKS, _OPEN = 300, 1
 # Causes that disturb a record; others, such as filters, are properties of the sensor.
 _DISTURBANCES = (
-    *("sinusoid", "bias_step", "outliers", "event", "disturbance", "saturation", "variance_change"),
-    *("slow_change", "warm_up", "temperature", "telegraph", "common_mode"),
+    "sinusoid",
+    "bias_step",
+    "outliers",
+    "event",
+    "disturbance",
+    "saturation",
+    "variance_change",
+    "slow_change",
+    "warm_up",
+    "temperature",
+    "telegraph",
+    "common_mode",
 )
 
 
