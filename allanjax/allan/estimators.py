@@ -607,12 +607,14 @@ def _square_sum(blocks: _Blocks, window: int) -> Float[np.ndarray, " axes"]:
     """Sum of squared differences between the means of adjacent windows of `window` blocks."""
     # A window of 14 blocks is one of 2, one of 4 and one of 8, which are sums of two halves.
     starts = max(blocks.shape[1] - window + 1, 0)
-    sums, begin, halves, of = np.zeros((len(blocks), starts)), 0, blocks, 1
-    while of <= window:
-        if window & of:
-            sums = sums + halves[:, begin : begin + starts]
-            begin += of
-        halves, of = halves[:, :-of] + halves[:, of:], 2 * of
+    sums = np.zeros((len(blocks), starts))
+    begin, size = 0, 1
+    while size <= window:
+        if window & size:
+            sums = sums + blocks[:, begin : begin + starts]
+            begin += size
+        blocks = blocks[:, :-size] + blocks[:, size:]
+        size *= 2
     return ((sums[:, window:] - sums[:, :-window]) ** 2).sum(axis=1) / window**2
 
 

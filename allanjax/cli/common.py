@@ -168,9 +168,9 @@ def prepare(folder: Path | None = None, files: Sequence[Path] = ()) -> None:
 
 
 def make_places(folder: Path | None = None, files: Sequence[Path] = ()) -> None:
-    """Make the folder of results, and those of the files to write, before any work is done.
+    """Create the folder of results and the folders of the files to write, before any work is done.
 
-    Ends the program with an error if they cannot be written. `remove_empty` removes those that stay empty.
+    The program ends with an error if it cannot write to them. `remove_empty` removes those that stay empty.
     """
     for place in (*([] if folder is None else [folder]), *(file.parent for file in files)):
         made = [path for path in (place, *place.parents) if not path.exists()]

@@ -373,8 +373,9 @@ def report(
     """
     if out.suffix.lower() not in (".html", ".htm"):
         refuse(f"--out {str(out)!r}: a page is named .html")
-    if wrong := [text for text in note if not all(text.partition("="))]:
-        refuse(f"--note {wrong[0]!r}: give NAME=VALUE, e.g. 'serial number=0123'")
+    for text in note:
+        if not all(text.partition("=")):
+            refuse(f"--note {text!r}: give NAME=VALUE, e.g. 'serial number=0123'")
     from allanjax.comparison.specification import check_spec, read_spec
 
     if spec is not None:
@@ -402,7 +403,7 @@ def report(
 
 
 def _told(shown: "Mapping[Input, Reported]") -> dict[str, Any]:
-    """What a page shows, in types of JSON: the fits with their checks, and the critiques."""
+    """The fits of a page with their checks, and its critiques, in types of JSON."""
     from allanjax.estimate.as_json import SCHEMA_VERSION
     from allanjax.presentation.critique_json import to_dict
     from allanjax.presentation.files import with_checks

@@ -46,7 +46,8 @@ from allanjax.noise.simulate import SENSORS as PRESETS
 from allanjax.noise.simulate import SensorPreset
 from allanjax.noise.terms import AngleRandomWalk, BiasInstability
 from allanjax.record.io.given import RecordingLike, as_recording
-from allanjax.record.units import SENSORS, Sensor, parse_quantity, unit_scale
+from allanjax.record.recording import Axis
+from allanjax.record.units import SENSORS, SI, Sensor, parse_quantity, unit_scale
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -72,7 +73,7 @@ class Compared(NamedTuple):
     """A sensor of a comparison.
 
     Attributes:
-        label: what it is called.
+        label: what it is called; "" if it has no name.
         source: what is known of it, in words.
         coefficients: estimates by axis and label [SI]; a data sheet has those of "gyro" and "accel". Beside
             the amplitudes it is the least Allan deviation, `LEAST`.
@@ -97,11 +98,14 @@ class Compared(NamedTuple):
 
     def of(self, axis: str) -> Mapping[str, Estimate]:
         """Coefficients of an axis, or in a data sheet of its sensor; empty if there are none."""
-        return self.coefficients.get(axis) or self.coefficients.get(axis.partition("_")[0]) or {}
+        return self._own(self.coefficients, axis) or {}
 
     def model(self, axis: str) -> Model | None:
         """Noise model of an axis, that of its sensor for a data sheet."""
-        return self.models.get(axis) or self.models.get(axis.partition("_")[0])
+        return self._own(self.models, axis)
+
+    def _own(self, known: Mapping[str, Any], axis: str) -> Any:
+        return known.get(axis) or known.get(axis.partition("_")[0])
 
     def deviation(self, axis: str, time: Float[np.ndarray, " t"]) -> Float[np.ndarray, " t"]:
         """Allan deviation of an axis's model at cluster times [s]; a fit states its own."""
@@ -112,43 +116,44 @@ class Compared(NamedTuple):
         return np.sqrt(np.asarray(model.sampled(self.rate).allan_variance(time)))
 
 
-def compared(data: Comparable, label: str = "") -> Compared:
+def compared(data: Comparable) -> Compared:
     """A sensor in the form of comparisons; recordings are read and fitted."""
-    data = _opened(data)
-    if isinstance(data, DataSheet):
-        values = {str(sensor): _with_least(data.coefficients(sensor)) for sensor in data.models}
-        models = {str(sensor): model for sensor, model in data.models.items()}
-        source = f"data sheet: {data.source}" if data.source else "data sheet"
-        return Compared(label or data.name, source, values, data, models, 100.0)
-    if isinstance(data, SensorPreset):
-        values = {axis.name: _with_least(axis.estimates) for axis in data.axes}
-        models = {axis.name: axis.model for axis in data.axes}
-        rate = data.axes[0].rate
-        return Compared(label or data.name, data.description, values, models, models, rate)
-    found = data if isinstance(data, Fit) else data.fit if isinstance(data, Critique) else fit(data)
+    known = _opened(data)
+    if isinstance(known, DataSheet):
+        values = {str(sensor): _with_least(known.coefficients(sensor)) for sensor in known.models}
+        models = {str(sensor): model for sensor, model in known.models.items()}
+        source = f"data sheet: {known.source}" if known.source else "data sheet"
+        return Compared(known.name, source, values, known, models, 100.0)
+    if isinstance(known, SensorPreset):
+        values = {axis.name: _with_least(axis.estimates) for axis in known.axes}
+        models = {axis.name: axis.model for axis in known.axes}
+        return Compared(known.name, known.description, values, models, models, known.axes[0].rate)
+    found = known if isinstance(known, Fit) else fit(known)
+    curve = found.curve
     measured = {r.axis.name: r for r in found.results if r.measured}
     values = {name: {**r.coefficients, LEAST: least_deviation(found, r)[0]} for name, r in measured.items()}
     models = {name: r.model for name, r in measured.items()}
-    noise, hours = (found if values else None), found.curve.n / found.curve.rate / 3600.0
-    source = f"fit of {hours:.2g} h at {found.curve.rate:g} Hz"
+    source = f"fit of {curve.n / curve.rate / 3600.0:.2g} h at {curve.rate:g} Hz"
     if not values:
         source += "; not a measurement of the sensor"
-    if not found.curve.determined:
-        source = f"fit of an Allan curve; {found.curve.unknown[0]}"
-    return Compared(label or found.name, source, values, noise, models, found.curve.rate, found.curve)
+    if not curve.determined:
+        source = f"fit of an Allan curve; {curve.unknown[0]}"
+    return Compared(found.name, source, values, found if values else None, models, curve.rate, curve)
 
 
 def _with_least(coefficients: dict[str, Estimate]) -> dict[str, Estimate]:
     """Coefficients with the least Allan deviation that follows from bias instability, 0.664 B."""
-    if (c := coefficients.get(BiasInstability.name())) is None:
+    B = coefficients.get(BiasInstability.name())
+    if B is None:
         return coefficients
-    least = dataclasses.replace(c.times(MINIMUM), label=LEAST, parameter=None, unit=c.unit)
-    return coefficients | {LEAST: least}
+    return coefficients | {LEAST: dataclasses.replace(B.times(MINIMUM), label=LEAST, parameter=None)}
 
 
 def _opened(data: Comparable) -> Any:
-    """What a path or a name stands for; anything else is returned as it is."""
-    if isinstance(data, Fit | Critique | DataSheet | SensorPreset | AllanDeviation):
+    """What a path or a name stands for, and the fit of a critique."""
+    if isinstance(data, Critique):
+        return data.fit
+    if isinstance(data, Fit | DataSheet | SensorPreset | AllanDeviation):
         return data
     if not isinstance(data, str | os.PathLike):
         return as_recording(data)
@@ -172,17 +177,15 @@ LAST = "consumer"
 
 
 @functools.cache
-def grades() -> tuple[Mapping[str, Mapping[tuple[str, str], float]], str]:
-    """Limits [SI] of each grade by sensor and coefficient, the best grade first, and their source."""
+def grades() -> tuple[Mapping[tuple[str, str], Mapping[str, float]], str]:
+    """Limits [SI] by sensor and coefficient, and then by grade, the best first; and their source."""
     tables = tomllib.loads(files(__package__).joinpath("grades.toml").read_text(encoding="utf-8"))
-    source, found = str(tables.pop("source")), {}
-    for name, of_sensor in tables.items():
-        limits = {}
+    source, found = str(tables.pop("source")), dict[tuple[str, str], dict[str, float]]()
+    for grade, of_sensor in tables.items():
         for sensor, quantities in of_sensor.items():
             for label, text in quantities.items():
-                value, unit = parse_quantity(text) or (float("nan"), "")
-                limits[sensor, label] = float(value) * unit_scale(unit, sensor)
-        found[name] = limits
+                value, unit = parse_quantity(text) or (math.nan, "")
+                found.setdefault((sensor, label), {})[grade] = value * unit_scale(unit, sensor)
     return found, source
 
 
@@ -209,15 +212,18 @@ class Difference(NamedTuple):
     @property
     def verdict(self) -> str:
         """ "larger", "smaller", "no" for no difference that is shown, or "" if that cannot be tested."""
-        larger = self.ratio > 1.0 if np.isfinite(self.ratio) else self.interval[0] > 1.0
-        return (
-            "" if self.corrected is None else "no" if not self.differs else "larger" if larger else "smaller"
-        )
+        if self.corrected is None:
+            return ""
+        if not self.differs:
+            return "no"
+        return "larger" if self.ratio > 1.0 or self.interval[0] > 1.0 else "smaller"
 
     def cells(self) -> tuple[str, str, str, str]:
         """Ratio, interval, p-value and verdict of the printed table."""
-        ratio = significant(self.ratio) if np.isfinite(self.ratio) else ""
-        p = "" if self.corrected is None else plain(self.corrected, 2) if self.corrected >= 1e-4 else "< 10⁻⁴"
+        ratio = "" if math.isnan(self.ratio) else significant(self.ratio)
+        p = ""
+        if self.corrected is not None:
+            p = plain(self.corrected, 2) if self.corrected >= 1e-4 else "< 10⁻⁴"
         return ratio, _between(self.interval), p, self.verdict
 
 
@@ -230,31 +236,30 @@ def difference(one: Estimate, reference: Estimate) -> Difference:
     if one.detected and reference.detected:
         error = math.hypot(one.log_std, reference.log_std)
         log = math.log(one.value / reference.value)
-        ends = tuple(math.exp(log + side * TWO_SIDED_95 * error) for side in (-1.0, 1.0))
+        reach = TWO_SIDED_95 * error
         p = 2.0 * float(ndtr(-abs(log) / error)) if error > 0.0 else None
-        return Difference(math.exp(log), (ends[0], ends[1]), p)
+        return Difference(math.exp(log), (math.exp(log - reach), math.exp(log + reach)), p)
+    low, high = 0.0, math.inf
     p = None
-    if one.detected or reference.detected:
-        p = _beyond_chance(*((one, reference) if one.detected else (reference, one)))
-    ends = (0.0, math.inf)
     if one.detected and reference.upper_limit:
-        ends = (one.interval[0] / reference.upper_limit, math.inf)
-    elif reference.detected and one.upper_limit is not None:
-        ends = (0.0, one.upper_limit / reference.interval[0] if reference.interval[0] > 0.0 else math.inf)
-    return Difference(math.nan, ends, p)
+        low = one.interval[0] / reference.upper_limit
+        p = _beyond_chance(one, reference.upper_limit)
+    elif reference.detected and one.upper_limit:
+        if reference.interval[0] > 0.0:
+            high = one.upper_limit / reference.interval[0]
+        p = _beyond_chance(reference, one.upper_limit)
+    return Difference(math.nan, (low, high), p)
 
 
-def _beyond_chance(seen: Estimate, limited: Estimate) -> float | None:
+def _beyond_chance(seen: Estimate, limit: float) -> float:
     """p-value of the equality of an amplitude that is detected and one of which a limit is known.
 
     The square of the second is normal about zero, with a standard deviation by its limit; the logarithm of
     the first is normal, and the probability is the mean over its law.
     """
-    if not limited.upper_limit:
-        return None
     x, weight = np.polynomial.hermite_e.hermegauss(_NODES)
     square = seen.value**2 * np.exp(2.0 * seen.log_std * x)
-    tail = 2.0 * ndtr(-square * ONE_SIDED_95 / limited.upper_limit**2)
+    tail = 2.0 * ndtr(-square * ONE_SIDED_95 / limit**2)
     return float(weight @ tail / weight.sum())
 
 
@@ -285,22 +290,25 @@ class Row(NamedTuple):
     @property
     def symbol(self) -> str:
         """Symbol or short name of the coefficient."""
-        if self.label == LEAST:
-            return "min σ"
-        return SYMBOLS.get(self.label) or title_of(self.label, self.sensor)
+        symbols = {**SYMBOLS, LEAST: "min σ"}
+        return symbols.get(self.label) or title_of(self.label, self.sensor)
 
     def is_lacking(self, one: Compared) -> bool:
         """Whether N, B or K, or what the coefficient follows from, is not given for a sensor."""
         return _WANTED.get(self.label) in one.lacking(self.axis)
 
-    def cells(self, sensors: Sequence[Compared]) -> Iterator[tuple[str, ...]]:
-        """Row of the printed table for each sensor that has the coefficient, or lacks what others have."""
-        if all(c is None for c in self.estimates):
-            return
+    def entries(self, sensors: Sequence[Compared]) -> Iterator[tuple[Compared, Estimate | None, Difference]]:
+        """Each sensor that has the coefficient, or lacks what others have, with its estimate."""
         for one, c, d in zip(sensors, self.estimates, self.differences, strict=True):
             if c is not None or self.is_lacking(one):
+                yield one, c, d or _UNTESTED
+
+    def cells(self, sensors: Sequence[Compared]) -> Iterator[tuple[str, ...]]:
+        """Rows of the printed table; none if no sensor has the coefficient."""
+        if any(self.estimates):
+            for one, c, d in self.entries(sensors):
                 value = NOT_GIVEN if c is None else detail(c, self.unit)[2]
-                yield self.axis, self.symbol, one.label, value, *(d or _UNTESTED).cells()
+                yield self.axis, self.symbol, one.label, value, *d.cells()
 
 
 class Growth(NamedTuple):
@@ -310,28 +318,28 @@ class Growth(NamedTuple):
         sensor: number of the sensor in the comparison.
         name: an axis, whose error is that of the integrated rate; or "heading" or "position", the errors of a
             navigator at rest, see `navigate`.
-        value, lower, upper: at each horizon; the ends are nan for what is taken as exact.
         is_bound: whether the value is a lower bound, as not all of N, B and K are given.
         reasons: why there is no value: it is beyond three times the record, or neither B nor K is given for
             the axis; "" where there is.
+        value, lower, upper: at each horizon; the ends are nan for what is taken as exact.
     """
 
     sensor: int
     name: str
+    is_bound: bool
+    reasons: tuple[str, ...]
     value: Float[np.ndarray, " t"]
     lower: Float[np.ndarray, " t"]
     upper: Float[np.ndarray, " t"]
-    is_bound: bool
-    reasons: tuple[str, ...]
 
     @property
-    def place(self) -> int:
-        """Place of its kind among those of `SHOWN`."""
-        return next(k for k, begin in enumerate(SHOWN) if self.name.startswith(begin))
+    def kind(self) -> str:
+        """Its key in `SHOWN`."""
+        return next(begin for begin in SHOWN if self.name.startswith(begin))
 
     def cells(self) -> Iterator[str]:
         """Values with their intervals and units."""
-        unit, size = [*SHOWN.values()][self.place]
+        unit, size = SHOWN[self.kind]
         for value, low, high, why in zip(self.value, self.lower, self.upper, self.reasons, strict=True):
             to, by = ("km", 1e3) if unit == "m" and value > 1e5 else (unit, size)
             ends = f" ({format_range(low / by, high / by)})" if np.isfinite(high) else ""
@@ -358,7 +366,7 @@ class Comparison(ByValue, Tabled):
         """Errors after the `HORIZONS`: of each axis's integrated rate, and of a navigator at rest."""
         every = (g for k, one in enumerate(self.sensors) for g in _growths(k, one))
         # Of a data sheet, the drift of any axis stands below those of the axes.
-        return tuple(sorted(every, key=lambda g: (g.place, "_" not in g.name, g.name)))
+        return tuple(sorted(every, key=lambda g: ([*SHOWN].index(g.kind), "_" not in g.name, g.name)))
 
     @property
     def labels(self) -> tuple[str, ...]:
@@ -378,32 +386,34 @@ class Comparison(ByValue, Tabled):
 
         return pd.DataFrame(self._records())
 
-    def _records(self) -> list[dict[str, Any]]:
-        rows = []
+    def _records(self) -> Iterator[dict[str, Any]]:
         for row in self.rows:
-            for one, c, tested in zip(self.sensors, row.estimates, row.differences, strict=True):
-                if c is None and not row.is_lacking(one):
-                    continue
-                d, known = tested or _UNTESTED, {"coefficient": row.label, "value": math.nan}
-                reason = None if c is not None else NOT_GIVEN
-                of = {"axis": row.axis, "sensor": one.label, "reason": reason, "ratio": d.ratio}
-                of |= zip(("ratio_lower_95", "ratio_upper_95"), d.interval, strict=True)
-                of |= {"p_value": d.corrected, "differs": d.differs}
-                rows.append((known if c is None else c.row()) | of)
-        return rows
+            for one, c, d in row.entries(self.sensors):
+                known = {"coefficient": row.label, "value": math.nan} if c is None else c.row()
+                yield {
+                    **known,
+                    "axis": row.axis,
+                    "sensor": one.label,
+                    "reason": NOT_GIVEN if c is None else None,
+                    "ratio": d.ratio,
+                    "ratio_lower_95": d.interval[0],
+                    "ratio_upper_95": d.interval[1],
+                    "p_value": d.corrected,
+                    "differs": d.differs,
+                }
 
     def to_dict(self) -> dict[str, Any]:
         """The comparison as plain dictionaries and lists, for JSON; growth in SI."""
-        growths = [
-            {"sensor": self.labels[g.sensor], "of": g.name, "reasons": [why or None for why in g.reasons]}
-            | {name: getattr(g, name) for name in ("value", "lower", "upper", "is_bound")}
-            for g in self.growths
-        ]
+        growths = []
+        for g in self.growths:
+            reasons = [why or None for why in g.reasons]
+            numbers = {name: getattr(g, name) for name in ("value", "lower", "upper", "is_bound")}
+            growths.append({"sensor": self.labels[g.sensor], "of": g.name, "reasons": reasons, **numbers})
         return {
             "schema_version": SCHEMA_VERSION,
             "sensors": [{"name": one.label, "source": one.source} for one in self.sensors],
             "reference": self.labels[self.reference],
-            "coefficients": in_json(self._records()),
+            "coefficients": in_json([*self._records()]),
             "horizons_s": list(HORIZONS),
             "grades": [dict(zip(_GRADES, row, strict=True)) for row in self.grades],
             "growth": in_json(growths),
@@ -440,16 +450,17 @@ class Comparison(ByValue, Tabled):
 
         It is the first whose limit is not exceeded, at both ends of the 95 % interval; "" without limits.
         """
-        limits = [(name, of[kind, label]) for name, of in grades()[0].items() if (kind, label) in of]
+        limits = grades()[0].get((kind, label))
+        if limits is None:
+            return ""
         rows = [row for row in self.rows if (row.sensor, row.label) == (kind, label)]
         known = [c for c in (row.estimates[k] for row in rows) if c and (c.detected or c.upper_limit)]
-        if not limits or not known:
-            lacks = any(row.is_lacking(self.sensors[k]) for row in rows)
-            return NOT_GIVEN if limits and lacks else ""
+        if not known:
+            return NOT_GIVEN if any(row.is_lacking(self.sensors[k]) for row in rows) else ""
         # An interval that is nan, as of a curve of unknown length, leaves the value.
         low = max(np.fmin(c.interval[0], c.value) if c.detected else 0.0 for c in known)
         high = max(np.fmax(c.interval[1], c.value) if c.detected else c.upper_limit or 0.0 for c in known)
-        names = [next((name for name, limit in limits if x <= limit), LAST) for x in (low, high)]
+        names = [next((name for name, limit in limits.items() if x <= limit), LAST) for x in (low, high)]
         return " to ".join(dict.fromkeys(names))
 
     def _notes(self) -> Iterator[str]:
@@ -505,8 +516,9 @@ def compare(*data: Comparable, labels: Sequence[str] | None = None, reference: i
         raise AllanjaxError("give two or more sensors to compare, e.g. compare(fit, 'BMI088')")
     if labels is not None and len(labels) != len(data):
         raise AllanjaxError(f"{len(labels)} labels for {len(data)} sensors: give one for each")
-    sensors = [compared(*pair) for pair in zip(data, labels or [""] * len(data), strict=True)]
-    names = numbered([one.label or "sensor" for one in sensors])
+    sensors = [compared(one) for one in data]
+    called = labels or [""] * len(data)
+    names = numbered([own or one.label or "sensor" for own, one in zip(called, sensors, strict=True)])
     sensors = [one._replace(label=name) for one, name in zip(sensors, names, strict=True)]
     if isinstance(reference, str):
         if reference not in names:
@@ -514,26 +526,26 @@ def compare(*data: Comparable, labels: Sequence[str] | None = None, reference: i
         reference = names.index(reference)
     elif not 0 <= reference < len(sensors):
         raise AllanjaxError(f"reference= is the number of a sensor, 0 to {len(sensors) - 1}, not {reference}")
-    return Comparison(tuple(sensors), reference, _rows(sensors, reference, axes_of(sensors)))
+    return Comparison(tuple(sensors), reference, _rows(sensors, reference))
 
 
-def axes_of(sensors: Sequence[Compared]) -> list[str]:
+def axes_of(sensors: Sequence[Compared]) -> list[Axis]:
     """Axes of all sensors, gyros first; a sensor of a data sheet is one only where no one else has axes."""
-    every = list(dict.fromkeys(axis for one in sensors for axis in (one.coefficients or one.models)))
-    single = [axis for axis in every if "_" in axis]
-    return [
-        axis
-        for sensor in SENSORS
-        for axis in [a for a in single if a.startswith(sensor)] or [a for a in every if a == sensor]
-    ]
+    every = dict.fromkeys(axis for one in sensors for axis in one.coefficients)
+    axes = list[Axis]()
+    for sensor in SENSORS:
+        own = [name for name in every if name.startswith(sensor)]
+        own = [name for name in own if "_" in name] or own
+        axes += [Axis(name, sensor, SI[sensor]["rate"]) for name in own]
+    return axes
 
 
-def _rows(sensors: Sequence[Compared], reference: int, axes: Sequence[str]) -> tuple[Row, ...]:
+def _rows(sensors: Sequence[Compared], reference: int) -> tuple[Row, ...]:
     """Amplitudes of the terms that any sensor has on an axis, with corrected p-values."""
     rows = []
-    for axis in axes:
-        every = [one.of(axis) for one in sensors]
-        lacking = {symbol for one in sensors for symbol in one.lacking(axis)}
+    for axis in axes_of(sensors):
+        every = [one.of(axis.name) for one in sensors]
+        lacking = {symbol for one in sensors for symbol in one.lacking(axis.name)}
         found = [c for of in every for c in of.values() if c.is_amplitude or c.label == LEAST]
         held = [c.label for c in found if c.detected or c.held or c.label in _WANTED]
         held += [label for label, symbol in _WANTED.items() if symbol in lacking]
@@ -542,18 +554,14 @@ def _rows(sensors: Sequence[Compared], reference: int, axes: Sequence[str]) -> t
         for label in sorted(names, key=lambda name: [*SYMBOLS, *names].index(name)):
             estimates = tuple(of.get(label) for of in every)
             base = estimates[reference]
-            pairs = tuple(
-                None if k == reference or c is None or base is None else difference(c, base)
-                for k, c in enumerate(estimates)
-            )
-            sensor: Any = axis.partition("_")[0]
-            rows.append(Row(axis, sensor, label, estimates, pairs))
-    tested = [d for row in rows for d in row.differences if d is not None]
-    corrected = iter(holm([d.p_value for d in tested]))
-    return tuple(
-        row._replace(differences=tuple(d and d._replace(corrected=next(corrected)) for d in row.differences))
-        for row in rows
-    )
+            pairs = [difference(c, base) if c and base else None for c in estimates]
+            pairs[reference] = None
+            rows.append(Row(axis.name, axis.sensor, label, estimates, tuple(pairs)))
+    corrected = iter(holm([d.p_value for row in rows for d in row.differences if d is not None]))
+    for k, row in enumerate(rows):
+        tested = [d and d._replace(corrected=next(corrected)) for d in row.differences]
+        rows[k] = row._replace(differences=tuple(tested))
+    return tuple(rows)
 
 
 def drift(
@@ -580,8 +588,7 @@ def _growths(k: int, one: Compared) -> Iterator[Growth]:
 
     def growth(name: str, absent: str, is_bound: bool, *numbers: Float[np.ndarray, " t"]) -> Growth:
         reasons = tuple(_TOO_SHORT if beyond else absent for beyond in far)
-        value, low, high = np.where(np.array(reasons) == "", numbers, np.nan)
-        return Growth(k, name, value, low, high, is_bound, reasons)
+        return Growth(k, name, is_bound, reasons, *np.where(np.array(reasons) == "", numbers, np.nan))
 
     for name, noise in sensors.axes.items():
         absent = "" if noise.drifts else NOT_GIVEN
@@ -591,9 +598,9 @@ def _growths(k: int, one: Compared) -> Iterator[Growth]:
     except AllanjaxError:
         # Its axes make no navigator.
         return
-    for name, quantity, channel in (("heading", "attitude", "down"), ("position", "position", "north")):
-        own = next((g for g in grown.growths if g.quantity == quantity), None)
-        if own is not None and channel in own.channels:
+    shown = {"attitude": ("heading", "down"), "position": ("position", "north")}
+    for own in grown.values():
+        name, channel = shown.get(own.quantity, ("", ""))
+        if channel in own.channels:
             at = own.channels.index(channel)
-            numbers = own.error[at], own.lower[at], own.upper[at]
-            yield growth(name, "", channel in own.bounds, *numbers)
+            yield growth(name, "", channel in own.bounds, own.error[at], own.lower[at], own.upper[at])

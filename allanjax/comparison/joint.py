@@ -15,10 +15,9 @@ does not depend on its own error.
 from __future__ import annotations
 
 import dataclasses
-import itertools
 from collections.abc import Mapping, Sequence, Set
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float
@@ -43,13 +42,14 @@ from allanjax.record.recording import Axis
 
 # Largest relative error of an amplitude, in all recordings, whose logarithms are compared.
 _PRECISE = 0.1
-# Bayes factor above which a term that single recordings do not show is in the joint model ("strong").
-_ODDS = 20.0
+# ln of the Bayes factor above which a term that single recordings do not show is in the joint model: that of
+# "strong" evidence, 20.
+_ODDS = np.log(20.0)
 # Rounds in which weights and powers settle.
 _ROUNDS = 4
 _Terms = Float[np.ndarray, "records terms"]
-# Estimates of powers and shapes of every recording, their variances, and their skewness.
-_Forms = Float[np.ndarray, "3 records params"]
+# Estimates of powers and shapes, their variances, and their skewness.
+_Form = Float[np.ndarray, "3 params"]
 
 
 def joint_fit(
@@ -84,19 +84,20 @@ def joint_fit(
     called = [f.name or str(k) for k, f in enumerate(fits, 1)] if names is None else list(map(str, names))
     if len(called) != len(fits):
         raise AllanjaxError(f"{len(fits)} recordings need {len(fits)} names, not {len(called)}")
-    called = numbered(called)
-    results, notes = [], list[str]()
+    named = dict(zip(numbered(called), fits, strict=True))
+    results, notes = [], []
     for axis in dict.fromkeys(name for f in fits for name in f.axes):
-        usable = (axis in f and f[axis].measured and f.curve.determined for f in fits)
-        here = {name: f for name, f, use in zip(called, fits, usable, strict=True) if use}
-        if absent := [name for name in called if name not in here]:
+        known = (name for name, f in named.items() if axis in f and f[axis].measured)
+        here = {name: named[name] for name in known if named[name].curve.determined}
+        absent = [name for name in named if name not in here]
+        if absent:
             why = "where it is absent, not a measurement, or has no interval"
             notes.append(f"{axis}: without {', '.join(absent)}, {why}")
         if len(here) > 1:
             results.append(_of_axis(axis, here, model))
     if not results:
         raise FitError(f"no axis is a measurement in two recordings; {'; '.join(notes)}")
-    return JointFit(tuple(called), tuple(results), tuple(notes))
+    return JointFit(tuple(named), tuple(results), tuple(notes))
 
 
 def _fit(of: Any, model: ModelLike | None, options: Mapping[str, Any]) -> Fit:
@@ -109,187 +110,199 @@ def _of_axis(name: str, fits: Mapping[str, Fit], model: ModelLike | None) -> Axi
     """The joint fit of one axis of the recordings that have it."""
     axis = next(iter(fits.values()))[name].axis
     seen = {c.term for f in fits.values() for c in f[name].coefficients.values() if c.detected}
-    selection, gains, rivals = None, dict[str, float](), dict[str, tuple[str, ...]]()
+    choice = _Choice()
     if model is None:
-        selection, chosen, gains, rivals = _chosen(axis, fits, seen)
+        choice = _chosen(name, fits, seen)
         every = basic_terms() + Markov()
-        model = every.without([label for label in every.term_labels if label not in chosen])
+        model = every.without([label for label in every.term_labels if label not in choice.terms])
     terms = model_to_fit(model, [axis])
     check_terms(terms, "must be estimated from the record itself; leave it out of a joint fit")
-    found = {t: gain for t, gain in gains.items() if gain > np.log(_ODDS) and t not in seen}
-    told = {t: others for t, others in rivals.items() if others and t in terms.term_labels}
-    coefficients = _Records.of(name, fits, terms).coefficients(found)
-    return AxisJoint(axis, tuple(fits), coefficients, selection, found, told)
+    found = {t: gain for t, gain in choice.gains.items() if gain > _ODDS and t not in seen}
+    rivals = {t: others for t, others in choice.rivals.items() if others and t in terms.term_labels}
+    records = [_Record.of(label, name, f, terms) for label, f in fits.items()]
+    return AxisJoint(axis, tuple(fits), _coefficients(axis, records, found), choice.selection, found, rivals)
 
 
-def _chosen(axis: Axis, fits: Mapping[str, Fit], seen: Set[str]) -> tuple[AxisSelection, Any, Any, Any]:
-    """Ranking by the sum of the evidences, chosen terms, what each gains as common to all, and its rivals."""
-    selection, together = _joint_ranking(axis, fits), _together(axis, fits)
+class _Choice(NamedTuple):
+    """Terms that are chosen, what each gains as common to all, and its rivals; empty for a given model."""
+
+    selection: AxisSelection | None = None
+    terms: Sequence[str] = ()
+    gains: Mapping[str, float] = {}
+    rivals: Mapping[str, tuple[str, ...]] = {}
+
+
+def _chosen(axis: str, fits: Mapping[str, Fit], seen: Set[str]) -> _Choice:
+    """Choice of the terms of an axis, of which single recordings show those that are seen."""
+    rankings = list[AxisSelection]()
+    for name, f in fits.items():
+        if f.selection is None:
+            raise FitError(f"{name}: the fit did not choose its terms; give model=, or fit without one")
+        rankings.append(f.selection[axis])
+    selection, together = _joint_ranking(rankings), _together(rankings)
     chosen, rivals = selection.chosen.terms, selection.doubtful()
     if together is None or not {*chosen} <= {*together.inclusion}:
-        return selection, chosen, {}, rivals
+        return _Choice(selection, chosen, rivals=rivals)
     # What no recording shows alone may be another term with the same power in all.
     own = {*chosen} & seen or {*chosen}
     more = dataclasses.replace(together, ranking=tuple(s for s in together.ranking if own <= {*s.terms}))
     best = more.chosen.terms
-    if together.gain(best, own) > np.log(_ODDS):
+    if together.gain(best, own) > _ODDS:
         doubtful, instead = more.doubtful(), tuple(t for t in chosen if t not in best)
         rivals |= {t: (*doubtful.get(t, ()), *instead) for t in best if t not in own}
         chosen = best
-    rest = {t: [other for other in chosen if other != t] for t in chosen if len(chosen) > 1}
-    return selection, chosen, {t: together.gain(chosen, others) for t, others in rest.items()}, rivals
+    gains = {t: together.gain(chosen, {*chosen} - {t}) for t in chosen if len(chosen) > 1}
+    return _Choice(selection, chosen, gains, rivals)
 
 
-def _joint_ranking(axis: Axis, fits: Mapping[str, Fit]) -> AxisSelection:
+def _joint_ranking(rankings: Sequence[AxisSelection]) -> AxisSelection:
     """The sets of terms that were ranked in all recordings, by the sum of their log evidences."""
-    rankings = []
-    for name, f in fits.items():
-        if f.selection is None:
-            raise FitError(f"{name}: the fit did not choose its terms; give model=, or fit without one")
-        rankings.append(f.selection[axis.name])
     each = [{s.terms: s for s in ranking.ranking} for ranking in rankings]
     common = [terms for terms in each[0] if all(terms in sets for sets in each)]
     total = np.array([sum(sets[terms].log_evidence for sets in each) for terms in common])
     probability = np.exp(total - np.logaddexp.reduce(total))
-    found = [
-        TermSet(terms, each[0][terms].parameters, float(behind), float(p))
-        for terms, behind, p in zip(common, total - total.max(), probability, strict=True)
-    ]
+    found = []
+    for terms, behind, p in zip(common, total - total.max(), probability, strict=True):
+        found.append(TermSet(terms, each[0][terms].parameters, float(behind), float(p)))
     found.sort(key=lambda s: -s.log_evidence)
-    return AxisSelection(axis, tuple(found), max(r.discrepancy for r in rankings))
+    return AxisSelection(rankings[0].axis, tuple(found), max(r.discrepancy for r in rankings))
 
 
-def _together(axis: Axis, fits: Mapping[str, Fit]) -> AxisSelection | None:
+def _together(rankings: Sequence[AxisSelection]) -> AxisSelection | None:
     """Ranking for common powers by the recordings whose spectra are known, at the rate of most; or None."""
     by_rate = dict[float, list[AxisSelection]]()
-    for f in fits.values():
-        if f.selection is not None and (own := f.selection[axis.name]).spectrum is not None:
-            by_rate.setdefault(own.spectrum[0].rate, []).append(own)
+    for ranking in rankings:
+        if ranking.spectrum is not None:
+            by_rate.setdefault(ranking.spectrum[0].rate, []).append(ranking)
     most = max(by_rate.values(), key=len, default=[])
     return pooled(most) if len(most) > 1 else None
 
 
-@dataclasses.dataclass(frozen=True)
-class _Records:
-    """One axis of several recordings, and a model with the terms of all.
+class _Record(NamedTuple):
+    """One axis of a recording.
 
-    `fitted` are the model's fits to the curves of recordings, by their rows. The curves of others do not
-    suffice: their fits' own estimates are used.
+    Attributes:
+        name: name of the recording.
+        model: the joint model.
+        coefficients: its estimates of the model's coefficients by label.
+        widening: factor of their errors.
+        at: its curve at the model's best fit; None for a curve that does not suffice, so that the estimates
+            are those of the recording's own fit.
     """
 
+    name: str
     model: Model
-    names: list[str]
-    results: list[AxisFit]
-    fitted: dict[int, tuple[AxisFit, Hypotheses]]
+    coefficients: Mapping[str, Estimate]
+    widening: float
+    at: Hypotheses | None
 
     @classmethod
-    def of(cls, name: str, fits: Mapping[str, Fit], model: Model) -> _Records:
-        results, fitted = [f[name] for f in fits.values()], {}
-        for row, (f, result) in enumerate(zip(fits.values(), results, strict=True)):
-            if result.own_template is None and not f.curve.others:
-                curve = f.curve[name]
-                found = fit_curve(curve, model)[name]
-                fitted[row] = found, _hypotheses(curve, model, found)
-        return cls(model, list(fits), results, fitted)
+    def of(cls, name: str, axis: str, fit: Fit, model: Model) -> _Record:
+        own = fit[axis]
+        if own.own_template is not None or fit.curve.others:
+            return cls(name, model, own.coefficients, own.widening, None)
+        curve = fit.curve[axis]
+        found = fit_curve(curve, model)[axis]
+        coefficients = found.widened(own.widening).coefficients if found.converged else {}
+        return cls(name, model, coefficients, own.widening, _hypotheses(curve, model, found))
 
-    @property
-    def places(self) -> dict[str, int]:
-        """Columns of the forms by label: powers of the terms, then shapes."""
-        amplitudes = {p.label: p.term for p in self.model.parameters if p.parameter.is_amplitude}
-        return amplitudes | {p.label: len(self.model) + k for k, p in enumerate(free_shapes(self.model))}
-
-    def forms(self, power: _Terms) -> _Forms:
+    def form(self, power: Float[np.ndarray, " terms"]) -> _Form:
         """Linear estimates of powers and shapes with weights of these powers; NaN where there is none."""
-        terms = len(self.model)
-        found = np.full((3, len(self.results), terms + len(free_shapes(self.model))), np.nan)
-        for (row, result), p in itertools.product(enumerate(self.results), self.model.parameters):
-            c = result.coefficients.get(p.label)
+        if self.at is None:
+            return self._own_form()
+        own, at = power[None], self.at
+        estimated = np.append(free_powers(self.model), power[at.tangent.owner] > 0.0)[None]
+        X, weighed, covariance, step = at.linearized(own, estimated)
+        sd = np.sqrt(np.where(estimated, np.einsum("rpp->rp", covariance), np.nan))
+        # Shapes, whose estimates may be negative, count as without power.
+        around = np.pad(own, ((0, 0), (0, sd.shape[1] - len(power))))
+        skewness = skewness_of(X @ covariance, weighed @ covariance, sd, around)
+        return np.concatenate([step + around, (sd * self.widening) ** 2, np.maximum(skewness, 0.0)])
+
+    def _own_form(self) -> _Form:
+        """The same by the estimates and their errors, as if these were normal."""
+        columns = _columns(self.model)
+        found = np.full((3, len(columns)), np.nan)
+        for k, p in enumerate(columns):
+            c = self.coefficients.get(p.label)
             if c is None or c.held:
                 continue
             if p.parameter.is_amplitude:
-                found[:, row, self.places[p.label]] = c.value**2, c.power_std**2, 0.0
+                found[:, k] = c.value**2, c.power_std**2, 0.0
             elif c.detected:
                 distance = c.value - p.parameter.lower
-                found[:, row, self.places[p.label]] = np.log(distance), (c.std / distance) ** 2, 0.0
-        for row, (_, at) in self.fitted.items():
-            own = power[[row]]
-            estimated = np.append(free_powers(self.model), own[0, at.tangent.owner] > 0.0)[None]
-            X, weighed, covariance, step = at.linearized(own, estimated)
-            sd = np.sqrt(np.where(estimated, np.einsum("rpp->rp", covariance), np.nan))
-            # Shapes, whose estimates may be negative, count as without power.
-            around = np.pad(own, ((0, 0), (0, sd.shape[1] - terms)))
-            skewness = skewness_of(X @ covariance, weighed @ covariance, sd, around)
-            variance = (sd * self.results[row].widening) ** 2
-            found[:, [row]] = step + around, variance, np.maximum(skewness, 0.0)
+                found[:, k] = np.log(distance), (c.std / distance) ** 2, 0.0
         return found
 
-    def settled(self) -> tuple[_Forms, _Terms]:
-        """Estimates and powers drawn towards the common ones, after a few rounds."""
-        power = np.zeros((len(self.results), len(self.model)))
-        for row, (_, at) in self.fitted.items():
-            power[row] = at.power
-        for _ in range(_ROUNDS):
-            forms = self.forms(power)
-            for k in range(len(self.model)):
-                known = np.isfinite(forms[1, :, k])
-                v, s = forms[0, known, k], np.sqrt(forms[1, known, k])
-                if known.sum() > 1:
-                    laws = Laws(v, s)
-                    scatter = float(laws.scatter())
-                    mean = max(float(laws.fitted(scatter).mean), 0.0)
-                    v = (v * scatter + mean * s**2) / (scatter + s**2)
-                power[known, k] = np.maximum(v, 0.0)
-        return forms, power
 
-    def coefficients(self, found: Mapping[str, float]) -> dict[str, JointCoefficient]:
-        """The coefficients, with what is common to all recordings."""
-        axis, result = self.results[0].axis, {}
-        (forms, power), own = self.settled(), self._own_estimates()
-        for p in (p for p in reported(self.model) if p.free):
-            k = self.places[p.label]
-            rows = [r for r, of in enumerate(own) if p.label in of and np.isfinite(forms[1, r, k])]
-            if len(rows) < 2:
-                continue
-            records = {self.names[r]: own[r][p.label] for r in rows}
-            value, variance, skewness = forms[:, rows, k]
-            sd, scale = np.sqrt(variance), "logarithm"
-            if not p.parameter.is_amplitude:
-                value, skewness = np.log([c.value - p.parameter.lower for c in records.values()]), 0.0
+def _columns(model: Model) -> list[ModelParameter]:
+    """What the columns of the forms are: amplitudes of the terms, then shapes."""
+    return [*(p for p in model.parameters if p.parameter.is_amplitude), *free_shapes(model)]
+
+
+def _settled(records: Sequence[_Record]) -> tuple[Float[np.ndarray, "3 records params"], _Terms]:
+    """Forms of the recordings, and powers drawn towards the common ones, after a few rounds."""
+    terms = len(records[0].model)
+    power = np.concatenate([np.zeros((1, terms)) if one.at is None else one.at.power for one in records])
+    for _ in range(_ROUNDS):
+        forms = np.stack([one.form(own) for one, own in zip(records, power, strict=True)], axis=1)
+        for k in range(terms):
+            known = np.isfinite(forms[1, :, k])
+            v, s = forms[0, known, k], np.sqrt(forms[1, known, k])
+            if known.sum() > 1:
+                laws = Laws(v, s)
+                scatter = float(laws.scatter())
+                mean = max(float(laws.fitted(scatter).mean), 0.0)
+                v = (v * scatter + mean * s**2) / (scatter + s**2)
+            power[known, k] = np.maximum(v, 0.0)
+    return forms, power
+
+
+def _coefficients(
+    axis: Axis, records: Sequence[_Record], found: Mapping[str, float]
+) -> dict[str, JointCoefficient]:
+    """The coefficients, with what is common to all recordings."""
+    model, result = records[0].model, {}
+    labels = [p.label for p in _columns(model)]
+    forms, power = _settled(records)
+    for p in reported(model):
+        if not p.free:
+            continue
+        k = labels.index(p.label)
+        known = (one for one, error in zip(records, forms[1, :, k], strict=True) if np.isfinite(error))
+        own = {one.name: one.coefficients[p.label] for one in known if p.label in one.coefficients}
+        if len(own) < 2:
+            continue
+        rows = [row for row, one in enumerate(records) if one.name in own]
+        value, sd = forms[0, rows, k], np.sqrt(forms[1, rows, k])
+        scale, skewness = "logarithm", None
+        if not p.parameter.is_amplitude:
+            value = np.log([c.value - p.parameter.lower for c in own.values()])
+        else:
+            # The error at the power drawn to the common one: that at its own depends on what it weighs.
+            relative = sd / (2.0 * np.maximum(power[rows, k], 1e-300))
+            if np.all(value > 0.0) and np.all(relative < _PRECISE):
+                # The logarithm of an unbiased square is low by half its relative variance.
+                value, sd = 0.5 * np.log(value) + relative**2, relative
             else:
-                # The error at the power drawn to the common one: that at its own depends on what it weighs.
-                at = np.maximum(power[rows, k], 1e-300)
-                if np.all(value > 0.0) and np.all(sd < 2.0 * _PRECISE * at):
-                    sd, skewness = sd / (2.0 * at), 0.0
-                    # The logarithm of an unbiased square is low by half its relative variance.
-                    value = 0.5 * np.log(value) + sd**2
-                else:
-                    scale = "square"
-            effects = random_effects(value, sd, list(records), skewness=skewness)
-            gain = found.get(p.term_label) if p.parameter.is_amplitude else None
-            seen = gain is not None or any(c.detected for c in records.values())
-            common, scatter = _common(p, axis, effects, scale == "square", seen, gain)
-            result[p.label] = JointCoefficient(common, records, scatter, effects, scale)
-        return result
-
-    def _own_estimates(self) -> list[Mapping[str, Estimate]]:
-        """Each recording's estimates of the joint model's coefficients by label."""
-        own = [r.coefficients for r in self.results]
-        for row, (of, _) in self.fitted.items():
-            own[row] = of.widened(self.results[row].widening).coefficients if of.converged else {}
-        return own
+                scale, skewness = "square", forms[2, rows, k]
+        effects = random_effects(value, sd, list(own), skewness=skewness)
+        gain = found.get(p.term_label) if p.parameter.is_amplitude else None
+        seen = gain is not None or any(c.detected for c in own.values())
+        common, scatter = _common(p, axis, effects, scale == "square", seen, gain)
+        result[p.label] = JointCoefficient(common, own, scatter, effects, scale)
+    return result
 
 
 def _hypotheses(curve: AllanDeviation, model: Model, found: AxisFit) -> Hypotheses:
     """A curve of one axis at the best fit of a model."""
-    power, shape = np.zeros((1, len(model))), np.zeros((1, len(free_shapes(model))))
-    values = {label: c.value for label, c in (found.coefficients if found.converged else {}).items()}
-    for p in model.parameters:
-        if p.parameter.is_amplitude and p.label in values:
-            power[:, p.term] = np.nan_to_num(values[p.label]) ** 2
-    for k, p in enumerate(free_shapes(model)):
-        u = np.log(values.get(p.label, np.nan) - p.parameter.lower)
-        # Without the term any shape will do.
-        shape[:, k] = u if np.isfinite(u) else 0.5 * np.log(curve.n) - np.log(curve.rate)
+    columns, terms = _columns(model), len(model)
+    known = found.coefficients if found.converged else {}
+    value = np.array([known[p.label].value if p.label in known else np.nan for p in columns])
+    power = np.nan_to_num(value[None, :terms]) ** 2
+    u = np.log(value[terms:] - [p.parameter.lower for p in columns[terms:]])
+    # Without the term any shape will do.
+    shape = np.where(np.isfinite(u), u, 0.5 * np.log(curve.n) - np.log(curve.rate))[None]
     tangent = AllanDesign.of(model, curve).tangent(shape)
     error = 2.0 * np.nan_to_num([found.discrepancy])
     none = np.zeros(power.shape, bool)
@@ -312,11 +325,12 @@ def _common(
     else:
         value, *ends = (lower + np.exp(np.minimum(ends, 300.0))).tolist()
         std = (value - lower) * e.std
-    more: dict[str, Any] = {"bayes_factor": None if gain is None else float(np.exp(min(gain, 700.0)))}
-    common = estimate_of(p, axis, value, std, ends, value > 0.0 and (seen or ends[0] > 0.0), **more)
+    detected = value > 0.0 and (seen or ends[0] > 0.0)
+    factor = None if gain is None else float(np.exp(min(gain, 700.0)))
+    common = estimate_of(p, axis, value, std, ends, detected, bayes_factor=factor)
     # Where there is no common value, there is no scatter about it.
-    scale = value - lower if common.detected else np.nan
-    size, low, high, limit = (scale * relative).tolist()
+    scale = value - lower if detected else np.nan
+    (size, *ends), limit = (scale * relative[:3]).tolist(), float(scale * relative[3])
     # Its interval is far from symmetric, so that there is no standard deviation.
-    scatter = estimate_of(p, axis, size, np.nan, [low, high, np.nan, np.nan, limit], low > 0.0)
+    scatter = estimate_of(p, axis, size, np.nan, [*ends, np.nan, np.nan, limit], ends[0] > 0.0)
     return common, dataclasses.replace(scatter, upper_limit=limit if np.isfinite(limit) else None)

@@ -35,7 +35,7 @@ from allanjax.base.equality import ByValue
 from allanjax.base.errors import AllanjaxError
 from allanjax.base.normal import TWO_SIDED_95
 from allanjax.base.tables import Column, Tabled, columns_from
-from allanjax.base.wording import format_p_value, significant
+from allanjax.base.wording import format_p_value, format_range, significant
 
 # Simulated sets of values, and skewness below which errors count as normal.
 _DRAWS, _SKEWED = 4000, 0.05
@@ -120,9 +120,7 @@ class RandomEffects(ByValue, Tabled):
         pairs = {"common": (self.common, self.interval), "scatter": (self.scatter, self.scatter_interval)}
         if len(self.values) == 2 and self.stds.all():
             pairs["difference"] = self.difference
-        rows = [
-            (name, significant(x, 4), " … ".join(map(significant, ends))) for name, (x, ends) in pairs.items()
-        ]
+        rows = [(name, significant(x, 4), format_range(*ends)) for name, (x, ends) in pairs.items()]
         return [columns_from(("", "value", "95 % interval"), rows)]
 
 
@@ -164,10 +162,10 @@ class Laws:
         q = np.maximum((weighed**2 / w).sum(axis=-1), 1e-300)
         return Weighted(mean, total**-0.5, q, (weighed**2).sum(axis=-1))
 
-    def simulated(self, variance: Any) -> Float[np.ndarray, "draws k"]:
+    def simulated(self, variance: float) -> Float[np.ndarray, "draws k"]:
         """Values about zero with these errors and a scatter of this variance."""
         errors, scatter = self._drawn
-        return errors * self.s + scatter * np.sqrt(np.asarray(variance)[..., None])
+        return errors * self.s + scatter * np.sqrt(variance)
 
     def p_value(self) -> float:
         """Probability of a Q as large as that of the values without scatter."""
@@ -177,18 +175,16 @@ class Laws:
         return float((1 + np.sum(self.fitted(0.0, self.simulated(0.0)).q >= q)) / (1 + _DRAWS))
 
     def scatter(self, q: Any = None) -> Any:
-        """Variance of the scatter at which Q is q, by default its mean k − 1; zero if it is less at zero."""
-        target = np.asarray(self.dof if q is None else q, float)
-        return self._solved(lambda _: target, np.zeros_like(target))
+        """Variance of the scatter at which Q is q, by default its mean k − 1; zero if it is less at zero.
 
-    def _solved(self, law: Callable[[Any], Any], variance: Any) -> Any:
-        """The same, for a q that may depend on the variance.
-
-        Newton's steps from zero do not go beyond the solution, as 1/Q is concave in the variance.
+        q may be a function of the variance. Newton's steps from zero do not go beyond the solution, as 1/Q is
+        concave in the variance.
         """
+        q, variance = self.dof if q is None else q, 0.0
         for _ in range(_STEPS):
             at = self.fitted(variance)
-            step = at.q * (at.q / law(variance) - 1.0) / np.maximum(at.slope, 1e-300)
+            target = q(variance) if callable(q) else q
+            step = at.q * (at.q / target - 1.0) / np.maximum(at.slope, 1e-300)
             variance, before = np.maximum(variance + step, 0.0), variance
             if np.allclose(variance, before, 1e-13, 0.0):
                 break
@@ -199,10 +195,6 @@ class Laws:
         from scipy.special import gammainc
 
         return float(gammainc(0.5 * self.dof, 0.5 * q))
-
-    def _simulated_q(self, p: float, variance: float) -> float:
-        """Quantile of Q at a scatter, for simulated errors."""
-        return float(np.quantile(self.fitted(variance, self.simulated(variance)).q, p))
 
     def mean_quantiles(self, p: Sequence[float]) -> list[float]:
         """Quantiles of the common value."""
@@ -235,10 +227,11 @@ class Laws:
         allowed = quantile(p * self._below(at), self.dof) * own / at
         ends = self.scatter(np.array([quantile(1.0 - p, self.dof), allowed]))
         if not self.normal:
-            low, high = (
-                self._solved(functools.partial(self._simulated_q, each), 0.0) for each in (1.0 - p, p)
-            )
-            ends = low, max(high, ends[1])
+
+            def quantile_of_q(probability: float) -> Callable[[float], Any]:
+                return lambda v: np.quantile(self.fitted(v, self.simulated(v)).q, probability)
+
+            ends = self.scatter(quantile_of_q(1.0 - p)), max(self.scatter(quantile_of_q(p)), ends[1])
         low, high = np.sqrt(ends)
         return float(low), float(high)
 
@@ -269,7 +262,8 @@ class Pooled(Laws):
     """Values of several units, each scattering about a mean of its own: Q and degrees of freedom are sums."""
 
     def __init__(self, units: Sequence[Laws]) -> None:
-        self.units, self.dof, self.normal = units, sum(of.dof for of in units), True
+        self.units, self.normal = units, True
+        self.dof = sum(of.dof for of in units)
 
     def fitted(self, variance: Any, x: _Sets | None = None) -> Weighted:
         """Q and its slope at a scatter of these variances; there is no common mean."""
@@ -312,20 +306,21 @@ def random_effects(
         raise AllanjaxError(f"{len(x)} values need {len(x)} names and stds, or one std for all")
     if stds is not None and not (np.isfinite(s) & (s > 0.0)).all():
         raise AllanjaxError("standard errors must be positive and finite; leave stds out if they are unknown")
-    laws = Laws(x, np.resize(s, len(x)), np.resize(g, len(x)))
+    s = np.resize(s, len(x))
+    laws = Laws(x, s, np.resize(g, len(x)))
     variance = laws.scatter()
     at = laws.fitted(variance)
-    low, high, low_68, high_68, limit = laws.mean_quantiles([0.025, 0.975, 0.16, 0.84, 0.95])
+    ends = laws.mean_quantiles([0.025, 0.975, 0.16, 0.84, 0.95])
     odd, chance = laws.odd_one(variance) if len(x) > 2 else (-1, float("nan"))
     return RandomEffects(
         names=called,
         values=x,
-        stds=np.resize(s, len(x)),
+        stds=s,
         common=float(at.mean),
         std=float(at.std),
-        interval=(low, high),
-        interval_68=(low_68, high_68),
-        limit=limit,
+        interval=(ends[0], ends[1]),
+        interval_68=(ends[2], ends[3]),
+        limit=ends[4],
         scatter=float(np.sqrt(variance)),
         scatter_interval=laws.scatter_ends(0.025),
         scatter_limit=laws.scatter_ends(0.05)[1],

@@ -71,11 +71,10 @@ class JointCoefficient(ByValue):
         """
         if len(self.records) != 2:
             return (float("nan"),) * 3
-        ends = (
-            (c.interval[0], c.interval[1] if c.detected else c.upper_limit) for c in self.records.values()
-        )
-        (low, high), (low_2, high_2) = np.nan_to_num(np.array([*ends], float), nan=0.0)
-        first, second = (c.value for c in self.records.values())
+        known = self.records.values()
+        ends = [(c.interval[0], c.interval[1] if c.detected else c.upper_limit) for c in known]
+        (low, high), (low_2, high_2) = np.nan_to_num(np.array(ends, float))
+        first, second = (c.value for c in known)
         size = second - first
         below, above = np.hypot(second - low_2, high - first), np.hypot(high_2 - second, first - low)
         return size, float(size - below), float(size + above)
@@ -84,13 +83,13 @@ class JointCoefficient(ByValue):
         """Last cell of the printed table: the difference of two recordings, or the odd one of more."""
         e, c = self.effects, self.common
         if len(self.records) == 2:
-            numbers = (significant(convert(x, c.unit, c.usual_unit), 2) for x in self.difference)
-            return "{} ({} … {})".format(*numbers)
+            size, *ends = (significant(convert(x, c.unit, c.usual_unit), 2) for x in self.difference)
+            return f"{size} ({' … '.join(ends)})"
         return f"{e.odd_one}, {format_p_value(e.odd_p_value)}" if e.odd_one else "none"
 
     def column(self, names: Sequence[str]) -> Column:
         """Column of the printed table: the recordings of these names, and the statistics below them."""
-        common, scatter, e = self.common.in_unit(), self.scatter.in_unit(), self.effects
+        common, scatter = self.common.in_unit(), self.scatter.in_unit()
         spread = f"{significant(100.0 * self.relative_scatter, 2)} %"
         ends = (significant(100.0 * x / common.value, 2) for x in scatter.interval if scatter.detected)
         spread = f"{spread} ({' … '.join(ends)})" if scatter.detected else f"< {spread}"
@@ -101,7 +100,7 @@ class JointCoefficient(ByValue):
             Number(scatter.value) if scatter.detected else scatter.number,
             spread if np.isfinite(self.relative_scatter) else "",
             Number(convert(self.sample_std, self.common.unit, common.unit)),
-            format_p_value(e.p_value),
+            format_p_value(self.effects.p_value),
             self._last(),
         ]
         return column(common.symbol or common.title, common.unit, cells)
@@ -158,15 +157,15 @@ class AxisJoint(ByValue):
 
     def to_dict(self) -> dict[str, Any]:
         """The axis in types of JSON, as `JointFit.to_dict`."""
+        coefficients = {}
+        for label, c in self.coefficients.items():
+            own = {"sample_std_si": c.sample_std, "difference_si": c.difference, "effects": vars(c.effects)}
+            coefficients[label] = {**vars(c), **own}
         more = {
             "log_bayes_factors": self.found_jointly,
             "rivals": self.rivals,
             "selection": () if self.selection is None else self.selection.ranking,
-            "coefficients": {
-                label: vars(c)
-                | {"sample_std_si": c.sample_std, "difference_si": c.difference, "effects": vars(c.effects)}
-                for label, c in self.coefficients.items()
-            },
+            "coefficients": coefficients,
         }
         return {**in_json(self.axis), **in_json(more)}
 
@@ -207,13 +206,12 @@ class JointFit(ByValue, PerAxis[AxisJoint]):
         return f"joint fit of {len(self.names)} recordings"
 
     def _tables(self) -> list[list[Column]]:
-        return [
-            [
-                Column(a.axis.name, [*a.names, *_SUMMARY, "odd one" if len(a.names) > 2 else "difference"]),
-                *(c.column(a.names) for c in a.coefficients.values()),
-            ]
-            for a in self.results
-        ]
+        tables = []
+        for a in self.results:
+            rows = [*a.names, *_SUMMARY, "odd one" if len(a.names) > 2 else "difference"]
+            columns = [c.column(a.names) for c in a.coefficients.values()]
+            tables.append([Column(a.axis.name, rows), *columns])
+        return tables
 
     def _notes(self) -> Iterator[str]:
         for axis in self.results:

@@ -95,9 +95,10 @@ def read_sheet(sheet: SpecLike) -> Mapping[str, Any]:
         """Refuses a key that is given twice, of which YAML would keep the last without a word."""
 
         def construct_mapping(self, node: Any, deep: bool = False) -> Any:
-            seen: set[str] = set()
+            seen = set[str]()
             for key, _ in node.value:
-                if (name := str(key.value)) in seen:
+                name = str(key.value)
+                if name in seen:
                     raise yaml.YAMLError(f"{name} is given twice, again in line {key.start_mark.line + 1}")
                 seen.add(name)
             return super().construct_mapping(node, deep)
@@ -116,25 +117,27 @@ def _limits(section: str, sensor: Sensor, given: Any, where: str) -> Iterator[Li
     """Yield the limits of a section: a text each, or a table with `limit` and what is said of it alone."""
     if not isinstance(given, Mapping):
         raise AllanjaxError(f"{where} is not a table: write its limits below {section}:")
-    shared = {key: value for key, value in given.items() if key in _ANSWERS}
+    shared = {key: given[key] for key in _ANSWERS if key in given}
     for key, value in given.items():
         if key in shared:
             continue
+        if key in _NO_LIMITS:
+            raise AllanjaxError(f"{where} {key} is not a limit of noise: leave it out")
         own = {**shared, **(value if isinstance(value, Mapping) else {"limit": value})}
-        if key in _NO_LIMITS or "limit" not in own:
-            problem = "is not a limit of noise: leave it out" if key in _NO_LIMITS else "needs limit: 1 UNIT"
-            raise AllanjaxError(f"{where} {key} {problem}")
+        if "limit" not in own:
+            raise AllanjaxError(f"{where} {key} needs limit: 1 UNIT")
         limit, meaning = own.pop("limit"), own.pop("meaning", None)
         if meaning not in ("maximum", "typical"):
             raise AllanjaxError(
                 f"{where} {key} needs meaning: maximum (of this unit) or meaning: typical (of many units, so "
                 f"reported only), not {meaning!r}"
             )
+        known = _exponents()
         # A usual name of the coefficient, such as N or VRW.
-        usual = (x for x in _exponents() if SYMBOLS.get(x) == key or is_called(str(key), x, sensor))
+        usual = (x for x in known if SYMBOLS.get(x) == key or is_called(str(key), x, sensor))
         name = next(usual, str(key))
-        label, size = Figures(sensor, {**own, name: limit}, where, _exponents()).one(name)
-        unit = default_coefficient_unit(sensor, _exponents().get(label, 0.0))
+        label, size = Figures(sensor, {**own, name: limit}, where, known).one(name)
+        unit = default_coefficient_unit(sensor, known.get(label, 0.0))
         yield Limit(str(key), section, label, size, unit, meaning)
 
 
@@ -170,7 +173,9 @@ class LimitCheck(ByValue):
         if self.limit.meaning == "typical" and self.estimate is not None and not self.estimate.held:
             return "typical"
         least, greatest = self.probability
-        return "pass" if least >= MET else "fail" if greatest <= MISSED else "undecided"
+        if least >= MET:
+            return "pass"
+        return "fail" if greatest <= MISSED else "undecided"
 
     @property
     def ratio(self) -> float:
@@ -187,26 +192,38 @@ class LimitCheck(ByValue):
     @property
     def margin(self) -> str:
         """How far the estimate is below the limit, with its 95 % interval, or at least; "" if unknown."""
-        c, size = self.estimate, self.limit.value
-        most = None if c is None else c.upper_limit
-        if c is None or c.held or (most is None and not c.detected):
+        c = self.estimate
+        if c is None or c.held:
             return ""
-        value, low, high = (percent(1.0 - x / size) for x in (c.value, *c.interval[::-1]))
-        if c.detected and math.isnan(c.interval[1]):
-            return value
-        least = "" if most is None else f"≥ {percent(1.0 - most / size)}"
-        return f"{value} ({low.removesuffix(' %')} … {high.removesuffix(' %')})" if c.detected else least
+
+        def below(x: float) -> str:
+            return percent(1.0 - x / self.limit.value)
+
+        if not c.detected:
+            return "" if c.upper_limit is None else f"≥ {below(c.upper_limit)}"
+        if math.isnan(c.interval[1]):
+            return below(c.value)
+        most, least = (below(end).removesuffix(" %") for end in c.interval)
+        return f"{below(c.value)} ({least} … {most})"
 
     def row(self) -> tuple[str, ...]:
         """The row of the printed table."""
-        limit, (low, high) = self.limit, self.probability
+        limit = self.limit
         shown = "" if self.estimate is None else detail(self.estimate, limit.unit)[2]
-        size = significant(limit.value / unit_scale(limit.unit))
-        least, most = (percent(round(p, 3), 3) if p >= 0.0 else "" for p in (low, high))
-        chances = least if not least or least == most else f"{least} … {most}" if high < 1.0 else f"≥ {least}"
-        named = f"{limit.meaning[:3]} {size}", limit.unit, self.margin, chances
-        cells = shown.removesuffix(f" {limit.unit}"), *named
-        return self.axis, limit.title, *cells, self.verdict
+        least, most = (percent(round(p, 3), 3) if p >= 0.0 else "" for p in self.probability)
+        chances = least
+        if least and least != most:
+            chances = f"{least} … {most}" if self.probability[1] < 1.0 else f"≥ {least}"
+        return (
+            self.axis,
+            limit.title,
+            shown.removesuffix(f" {limit.unit}"),
+            f"{limit.meaning[:3]} {significant(limit.value / unit_scale(limit.unit))}",
+            limit.unit,
+            self.margin,
+            chances,
+            self.verdict,
+        )
 
     def to_dict(self) -> dict[str, Any]:
         """The check as plain dictionaries; None for what there is not."""
@@ -224,7 +241,7 @@ class LimitCheck(ByValue):
             "needed_s": self.seconds,
             "reason": self.reason,
         }
-        return {key: in_json(value) for key, value in told.items()}
+        return in_json(told)
 
 
 @dataclasses.dataclass(frozen=True, eq=False, repr=False)
@@ -245,7 +262,9 @@ class SpecCheck(ByValue, Tabled):
     def verdict(self) -> Verdict:
         """That of all limits: "fail" if any is not met, else "undecided" if any is, else "pass"."""
         found = [result.verdict for result in self.results]
-        return "fail" if "fail" in found else "undecided" if "undecided" in found else "pass"
+        if "fail" in found:
+            return "fail"
+        return "undecided" if "undecided" in found else "pass"
 
     def to_dict(self) -> dict[str, Any]:
         """The checks as plain dictionaries, for JSON."""
@@ -309,7 +328,8 @@ def check_spec(fit: Fit, sheet: SpecLike) -> SpecCheck:
         AllanjaxError: the file cannot be read; a key is unknown; a figure is ambiguous or has no meaning.
         UnitError: a unit of another dimension.
     """
-    (title, limits), results = read_spec(sheet), list[LimitCheck]()
+    title, limits = read_spec(sheet)
+    results = []
     axes = [*(of.axis for of in fit.results), *(of.axis for of in fit.dead)]
     for axis in axes:
         own = {limit.label for limit in limits if limit.section == axis.name}
@@ -317,8 +337,9 @@ def check_spec(fit: Fit, sheet: SpecLike) -> SpecCheck:
             if limit.section == axis.name or (limit.section == axis.sensor and limit.label not in own):
                 results.append(_checked(fit, axis.name, limit))
     there = {name for axis in axes for name in (axis.name, axis.sensor)}
-    for limit in (limit for limit in limits if limit.section not in there):
-        results.append(LimitCheck(limit.section, limit, reason=NO_AXIS))
+    for limit in limits:
+        if limit.section not in there:
+            results.append(LimitCheck(limit.section, limit, reason=NO_AXIS))
     return SpecCheck(fit.name, title, tuple(results))
 
 
@@ -341,15 +362,17 @@ def _checked(fit: Fit, name: str, limit: Limit) -> LimitCheck:
     least = c.probability_below(limit.value)
     # The laws of the two differ, so that the greatest may come out below the least.
     greatest = max(least, floor.probability_below(limit.value)) if floor.detected else 1.0
-    found, seconds, reason = LimitCheck(name, limit, c, (least, greatest)), None, ""
+    found = LimitCheck(name, limit, c, (least, greatest))
     if found.verdict == "typical" and c.detected:
-        reason = f"{significant(found.ratio)} times typical, {found.score:+.1f} standard errors"
-    elif found.verdict == "undecided" and c is not floor:
-        reason = "the Allan deviation still falls at the end: record longer"
-    elif found.verdict == "undecided":
+        why = f"{significant(found.ratio)} times typical, {found.score:+.1f} standard errors"
+    elif found.verdict != "undecided":
+        return found
+    elif c is not floor:
+        why = "the Allan deviation still falls at the end: record longer"
+    else:
         seconds = _length(fit, of, limit, c)
-        reason = would_decide(seconds)
-    return dataclasses.replace(found, seconds=seconds, reason=reason)
+        return dataclasses.replace(found, seconds=seconds, reason=would_decide(seconds))
+    return dataclasses.replace(found, reason=why)
 
 
 def would_decide(seconds: float | None) -> str:

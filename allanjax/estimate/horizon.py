@@ -63,7 +63,16 @@ _MEMORIES, _MARKOV_MEMORIES, _TIMES = 61, 25, 11
 _WORSE = 1.1
 _QUANTILES = (0.025, 0.975, 0.16, 0.84)
 _Times: TypeAlias = Float[np.ndarray, " t"]
-_Noise: TypeAlias = tuple[Axis, Mapping[str, Estimate], Model, Sequence[Likely], tuple[str, ...]]
+
+
+class _Noise(NamedTuple):
+    """An axis: its coefficients, model and likely sets of terms, and which of N, B and K are not given."""
+
+    axis: Axis
+    coefficients: Mapping[str, Estimate]
+    model: Model
+    sets: Sequence[Likely]
+    lacking: tuple[str, ...]
 
 
 class _Filters:
@@ -393,14 +402,14 @@ def _noises(fit: Fit | DataSheet, asked: Sequence[str] | None, seed: int) -> Ite
     if isinstance(fit, DataSheet):
         for s in cast(Sequence[Sensor], asked or tuple(fit.models)):
             axis, sets = Axis(s, s, SI[s]["rate"]), [exact_model(fit[s])]
-            yield axis, fit.coefficients(s), fit[s], sets, fit.lacking(s)
+            yield _Noise(axis, fit.coefficients(s), fit[s], sets, fit.lacking(s))
         return
     results = [fit[name] for name in asked] if asked else [r for r in fit.values() if r.measured]
     if missing := [r for r in results if not r.measured]:
         raise FitError(f"{missing[0].axis.name}: {missing[0].verdict}")
     for r in results:
         sets = fit.likely_models(r.axis.name, _DRAWS, np.random.default_rng(seed))
-        yield r.axis, r.coefficients, r.model, sets, r.lacking
+        yield _Noise(r.axis, r.coefficients, r.model, sets, r.lacking)
 
 
 class _Question(NamedTuple):
@@ -429,16 +438,16 @@ class _Question(NamedTuple):
 
     def answered(self, noise: _Noise) -> AxisHorizon:
         """Horizon of one axis."""
-        axis, coefficients, model, sets, lacking = noise
-        raw = (coefficients.get(x) for x in ("angle_random_walk", "rate_random_walk"))
+        axis = noise.axis
+        raw = (noise.coefficients.get(x) for x in ("angle_random_walk", "rate_random_walk"))
         N, K = (0.0 if c is None else max(c.value, 0.0) for c in raw)
         last = max(round(self.seconds * self.rate), 1)
         # From a hundredth of the horizon on.
         steps = np.unique(np.round(np.geomspace(max(last / 100.0, 1.0), last, 13)))
         # The last filter is that of the raw coefficients; without N, the walk over its memory.
-        filters = _Filters(self.pairs(N, K, model), steps, self.rate)
+        filters = _Filters(self.pairs(N, K, noise.model), steps, self.rate)
         memory, time, unit = filters.memory, filters.time, filters.unit
-        labels, terms, power, detected, _ = side_by_side(sets)
+        labels, terms, power, detected, _ = side_by_side(noise.sets)
         # Sets share terms.
         variance = functools.cache(lambda one: filters.variance(one, self.record))
         V = np.stack([variance(one) for one in terms])
@@ -481,9 +490,9 @@ class _Question(NamedTuple):
             raw_prediction=(N or K * float(memory[-1])) * np.sqrt(unit[-1]),
             bound=N_max * np.sqrt(unit[outer]),
             shares=dict(shares.most_common()),
-            sets=len(sets),
+            sets=len(noise.sets),
         )
-        return _without_unknown(found, lacking) if lacking else found
+        return _without_unknown(found, noise.lacking) if noise.lacking else found
 
 
 def _without_unknown(r: AxisHorizon, lacking: tuple[str, ...]) -> AxisHorizon:

@@ -22,7 +22,7 @@ def least_deviation(fit: Fit, of: AxisFit) -> tuple[Estimate, Estimate]:
     record, it is an upper limit only, and the second estimate is the least of the models extrapolated, unless
     that is zero.
     """
-    time, name, unit = _times(fit), of.axis.name, default_coefficient_unit(of.axis.sensor, 0.0)
+    time, name = _times(fit), of.axis.name
     stated = fit.model_deviation(name, time)
     drawn = np.stack([fit.drawn_deviations(name, time, _DRAWS, below) for below in (False, True)])
 
@@ -39,7 +39,7 @@ def least_deviation(fit: Fit, of: AxisFit) -> tuple[Estimate, Estimate]:
             std=(high_68 - low_68) / 2.0,
             interval=(low, high),
             interval_68=(low_68, high_68),
-            usual_unit=unit,
+            usual_unit=default_coefficient_unit(of.axis.sensor, 0.0),
             upper_limit=None if detected else most,
             detected=detected,
         )

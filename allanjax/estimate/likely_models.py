@@ -202,12 +202,19 @@ def _factors(
 
 
 def allowed(curve: AllanDeviation, column: int, cluster_time: _Times) -> tuple[_Times, _Times]:
-    """Ends of the measured 95 % interval of an axis's Allan deviation; none beyond the measured times [s]."""
+    """Ends of the 95 % band of an axis's measured Allan deviation; none beyond the measured times [s].
+
+    The band is one for all cluster times together (Bonferroni): those of an octave, which share most
+    clusters, count as one.
+    """
     log = np.log(cluster_time)
     own = np.log(curve.cluster_time)
+    octaves = 1.0 + float(own[-1] - own[0]) / np.log(2.0)
     low, high = (
         np.exp(np.interp(log, own, np.log(np.maximum(end[:, column], 1e-300)), beyond, beyond))
-        for end, beyond in zip(curve.confidence_interval(0.95), (-np.inf, np.inf), strict=True)
+        for end, beyond in zip(
+            curve.confidence_interval(1.0 - 0.05 / octaves), (-np.inf, np.inf), strict=True
+        )
     )
     return low, high
 

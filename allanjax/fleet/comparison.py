@@ -123,13 +123,12 @@ def outlying(families: Sequence[Sequence[Values]], alarms: float = FALSE_ALARMS)
         be so far out.
     """
     each = [np.stack([p_values(axis) for axis in axes], axis=1) for axes in families]
-    together = [_together(p, axes) for p, axes in zip(each, families, strict=True)]
     first = [_first_of_two(axes[0].part) for axes in families]
-    tested = [
-        None if np.isnan(p) or at < k else p
-        for of, places in zip(together, first, strict=True)
-        for k, (p, at) in enumerate(zip(of.tolist(), places.tolist(), strict=True))
-    ]
+    tested = list[float | None]()
+    for p, places, axes in zip(each, first, families, strict=True):
+        together = _together(p, axes)
+        together[places < np.arange(len(places))] = np.nan
+        tested += [None if np.isnan(own) else own for own in together.tolist()]
     corrected = iter(holm(tested))
     marks = []
     for p, places in zip(each, first, strict=True):
@@ -180,10 +179,10 @@ def p_values(values: Values) -> Numbers:
     known, free = values.known & is_compared, is_compared.copy()
     # Of several parts, each has a value that is its median, or as near to it as another; of one, the median
     # is lost instead.
-    several = len(places) > 1
-    for own in places if several else ():
+    lost = int(len(places) < 2)
+    for own in () if lost else places:
         free[own[np.argmin(abs(distance[own]))]] = False
-    count, lost = int(free.sum()), 0 if several else 1
+    count = int(free.sum())
     if count - lost < FEWEST_UNITS - 1 or not (known & free).any():
         return np.full(len(values.x), np.nan)
     # The end of the interval that faces the others.
@@ -201,10 +200,8 @@ def p_values(values: Values) -> Numbers:
     of_median = np.zeros(len(distance))
     for own in places:
         of_median[own] = 0.5 * np.pi * np.median(own_spread[own]) / len(own)
-    tail = np.full(len(distance), np.nan)
-    away = -abs(distance[known]) / np.sqrt((own_spread + of_median)[known])
-    tail[known] = 2.0 * stdtr(degrees[known], away)
-    return tail
+    tail = 2.0 * stdtr(degrees, -abs(distance) / np.sqrt(own_spread + of_median))
+    return np.where(known, tail, np.nan)
 
 
 def _inner(count: int) -> int:
@@ -256,9 +253,7 @@ def two_groups(axes: Sequence[Values]) -> Split:
     x = np.where(has_value, distances, 0.0).sum(axis=0) / has_value.sum(axis=0)
     ordered = np.sort(x)
     gaps = np.diff(ordered)[least - 1 : count - least]
-    parts = np.split(ordered, [int(np.argmax(gaps)) + least])
-    medians = [float(np.median(part)) for part in parts]
-    around = zip(parts, medians, strict=True)
-    variance = max(_ROUNDING, *(_variance(part - median, len(part)) for part, median in around))
+    lower, upper = np.split(ordered, [int(np.argmax(gaps)) + least])
+    variance = max(_ROUNDING, *(_variance(part - np.median(part), len(part)) for part in (lower, upper)))
     gap = float(gaps.max() / (_GAP * np.sqrt(variance)))
-    return Split(gap, float(np.exp(medians[1] - medians[0])), x >= parts[1][0])
+    return Split(gap, float(np.exp(np.median(upper) - np.median(lower))), x >= upper[0])

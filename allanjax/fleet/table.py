@@ -52,7 +52,7 @@ _NAMED = 5
 ROWS = 40
 # Characters of the names in a cell.
 _SHORT = 28
-# Factor up to which the ratios of a sensor's axes are told as one.
+# The ratios of a sensor's axes are reported as one number if they agree within this factor.
 _ALIKE = 1.1
 
 

@@ -128,7 +128,8 @@ class Sensors(NamedTuple):
     def ends(self, drawn: Drawn) -> tuple[np.ndarray, np.ndarray]:
         """Ends of the central 95 % interval of a quantity: the lower from detected terms, the upper from all.
 
-        They are nan for models that are taken as exact; of what is a lower bound, the upper one is infinite.
+        Both ends are nan if the models are taken as exact. The upper end is infinite if the quantity is only
+        a lower bound.
         """
         if not self.estimated:
             return (np.full_like(drawn.total, np.nan),) * 2

@@ -21,7 +21,7 @@ from allanjax.noise.terms.deterministic import Transient
 from allanjax.presentation import draw
 from allanjax.presentation.draw import Heading, KeyEntry, Panel, Points, Residual, Sheet
 from allanjax.record.recording import Axis, Recording
-from allanjax.record.units import SI, Sensor
+from allanjax.record.units import Sensor
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -364,11 +364,9 @@ def plot_comparison(comparison: Comparison, path: str | os.PathLike[str] | None 
     # Here, as a comparison imports more than other pictures need.
     from allanjax.comparison.compare import axes_of
 
-    names = axes_of(comparison.sensors)
-    sensors: list[Any] = [name.partition("_")[0] for name in names]
-    axes = [Axis(name, kind, SI[kind]["rate"]) for name, kind in zip(names, sensors, strict=True)]
+    axes = axes_of(comparison.sensors)
     heading = Heading("Comparison", ", ".join(comparison.labels), [draw.measured_entry(), draw.model_entry()])
-    rows = draw.rows_of(names, axes, None)
+    rows = draw.rows_of([axis.name for axis in axes], axes, None)
     return draw.draw_panels(
         heading, draw.CLUSTER_TIME, rows, lambda k: _panel_of_sensors(comparison, axes[k]), path, None
     )

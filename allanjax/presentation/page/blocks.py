@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-import dataclasses
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -12,7 +12,7 @@ from jaxtyping import Float
 from allanjax.base.tables import Column
 
 
-@dataclasses.dataclass(frozen=True)
+@dataclass(frozen=True)
 class Text:
     """A paragraph, with the class by which the style sheet marks a verdict or a warning."""
 
@@ -20,7 +20,12 @@ class Text:
     style: str = ""
 
 
-@dataclasses.dataclass(frozen=True)
+def texts(lines: Iterable[str], style: str) -> list[Text]:
+    """A paragraph of this style for each line."""
+    return [Text(line, style) for line in lines]
+
+
+@dataclass(frozen=True)
 class Cell:
     """Text of a cell in usual units, the same in SI, and a remark below."""
 
@@ -30,7 +35,7 @@ class Cell:
     si_remark: str = ""
 
 
-@dataclasses.dataclass(frozen=True)
+@dataclass(frozen=True)
 class Table:
     """A table; the first column has the names of the rows."""
 
@@ -42,12 +47,16 @@ class Table:
     def of(cls, columns: Sequence[Column], caption: str = "") -> Table:
         """The table that a result prints."""
         shown = [c for c in columns if any(c.cells)]
-        rows = zip(*(c.cells for c in shown), strict=True)
-        heads = [Cell(c.head.replace("\n", " ")) for c in shown]
-        return cls(heads, [[Cell(cell.strip()) for cell in row] for row in rows], caption)
+        rows = zip(*(map(str.strip, c.cells) for c in shown), strict=True)
+        return cls.of_texts([c.head.replace("\n", " ") for c in shown], rows, caption)
+
+    @classmethod
+    def of_texts(cls, heads: Iterable[str], rows: Iterable[Iterable[str]], caption: str = "") -> Table:
+        """The table of these texts, which have no units."""
+        return cls([*map(Cell, heads)], [[*map(Cell, row)] for row in rows], caption)
 
 
-@dataclasses.dataclass(frozen=True)
+@dataclass(frozen=True)
 class Units:
     """A long table that the browser sorts and filters, with some hundred rows at a time.
 
@@ -62,7 +71,7 @@ class Units:
     marked: Sequence[int] = ()
 
 
-@dataclasses.dataclass(frozen=True)
+@dataclass(frozen=True)
 class Method:
     """The paragraph on the method: a fit's objective, and the terms that were given, if any."""
 
@@ -70,14 +79,14 @@ class Method:
     terms: str
 
 
-@dataclasses.dataclass(frozen=True)
+@dataclass(frozen=True)
 class Exports:
     """Texts to copy, by the names under which they are chosen."""
 
     texts: Sequence[tuple[str, str]]
 
 
-@dataclasses.dataclass(frozen=True)
+@dataclass(frozen=True)
 class Fold:
     """Blocks that are shown at a click."""
 
@@ -86,14 +95,14 @@ class Fold:
     is_open: bool = False
 
 
-@dataclasses.dataclass(frozen=True)
+@dataclass(frozen=True)
 class Row:
     """Blocks side by side where the screen is wide enough."""
 
     blocks: Sequence[Block]
 
 
-@dataclasses.dataclass(frozen=True)
+@dataclass(frozen=True)
 class Trace:
     """A curve of a chart, in SI.
 
@@ -118,7 +127,7 @@ class Trace:
     names: Sequence[str] = ()
 
 
-@dataclasses.dataclass(frozen=True)
+@dataclass(frozen=True)
 class Mark:
     """A named point of a chart in SI, or without y a line at x; of a group, or of all."""
 
@@ -128,7 +137,7 @@ class Mark:
     group: int | None = None
 
 
-@dataclasses.dataclass(frozen=True)
+@dataclass(frozen=True)
 class Span:
     """A named part of the x axis."""
 
@@ -138,7 +147,7 @@ class Span:
     group: int | None = None
 
 
-@dataclasses.dataclass(frozen=True)
+@dataclass(frozen=True)
 class View:
     """One of the pictures that a chart switches between.
 
@@ -169,7 +178,7 @@ class View:
     hidden: Sequence[str] = ()
 
 
-@dataclasses.dataclass(frozen=True)
+@dataclass(frozen=True)
 class Chart:
     """A chart with one or more views.
 
@@ -187,7 +196,7 @@ class Chart:
 Block: TypeAlias = Text | Table | Units | Method | Exports | Fold | Row | Chart
 
 
-@dataclasses.dataclass(frozen=True)
+@dataclass(frozen=True)
 class Section:
     """A part of a page with its heading, on paper only if it is `printed`."""
 

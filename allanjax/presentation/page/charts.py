@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from typing import Any, NamedTuple, TypeAlias
+from typing import Any, TypeAlias
 
 import numpy as np
 from jaxtyping import Float
@@ -13,11 +13,11 @@ from allanjax.allan.deviation import DynamicAllan, rate_unit
 from allanjax.base.wording import duration, percent, plain
 from allanjax.comparison.compare import SHOWN, drift
 from allanjax.critic.finding import Finding, numbers_in
-from allanjax.critic.result import Critique
 from allanjax.estimate.result import AxisFit, Fit
 from allanjax.navigation.likely import sensors_of
 from allanjax.noise.datasheet import MINIMUM
 from allanjax.noise.estimate import title_of
+from allanjax.noise.terms.deterministic import Transient
 from allanjax.presentation import allan_figure, draw, spectrum_figure
 from allanjax.presentation.draw import SENSORS, Residual
 from allanjax.presentation.page.blocks import Chart, Mark, Span, Trace, View
@@ -25,9 +25,12 @@ from allanjax.record.recording import Axis, Recording
 from allanjax.record.units import SI, Sensor, rate_unit_of
 from allanjax.spectrum.psd import PowerSpectrum, density_unit
 
-# Points at which models are drawn, every how many of them its terms are, the least share of a term that is
-# drawn, and blocks of the record over time.
-_POINTS, _EVERY, _LITTLE, _BLOCKS = 160, 2, 1e-3, 1000
+# Points at which models are drawn, and blocks of the record over time.
+_POINTS, _BLOCKS = 160, 1000
+# Every how many of these points terms are drawn, and the least share of a term that is.
+_EVERY, _LITTLE = 2, 1e-3
+# Layer of what lies by chance about zero, which is hidden at first where there are several axes.
+_CHANCE = "95 % by chance"
 # Horizons of the predicted drift [s], and their number.
 _HORIZONS, _COUNT = (1.0, 36_000.0), 55
 # Cluster times that are shown through time.
@@ -36,6 +39,7 @@ _SHOWN = 4
 _EVERYWHERE, _MOST = 0.95, 200
 
 _Places: TypeAlias = Float[np.ndarray, " m"]
+_Columns: TypeAlias = Float[np.ndarray, "m axes"]
 
 
 def by_sensor(axes: Sequence[Axis]) -> dict[Sensor, list[Axis]]:
@@ -66,7 +70,8 @@ def psd(axis: Axis) -> dict[str, Any]:
 def over(axis: Axis, name: str = "samples") -> dict[str, Any]:
     """Labels and units of samples over time."""
     labels = name, "time since the start", "s", "samples − mean"
-    return _labels(labels, rate_unit_of(axis.unit, axis.sensor), SI[axis.sensor]["rate"])
+    shown = _labels(labels, rate_unit_of(axis.unit, axis.sensor), SI[axis.sensor]["rate"])
+    return {**shown, "log": "", "interval": "least … largest"}
 
 
 def _labels(labels: Sequence[str], unit: tuple[str, float], si: str) -> dict[str, Any]:
@@ -78,19 +83,27 @@ def _labels(labels: Sequence[str], unit: tuple[str, float], si: str) -> dict[str
 def curves(fit: Fit) -> list[Chart]:
     """Allan deviations of each sensor with 95 % intervals, models, terms, and points to read coefficients."""
     curve, time = fit.curve, draw.times_of(fit.curve, _POINTS)
-    low, high = curve.confidence_interval(0.95)
+    ends = curve.confidence_interval(0.95)
 
     def views(own: Sequence[Axis]) -> Iterator[View]:
         traces, marks = list[Trace](), list[Mark]()
         for group, axis in enumerate(own):
             k, result = curve.names.index(axis.name), fit[axis.name]
-            points = curve.cluster_time, curve.deviation[:, k], low[:, k], high[:, k]
-            stated = list(fit.model_curve(axis.name, time)) if result.converged else []
-            traces += _curve(Trace(group, "measured", *points), result, curve.rate, time, stated)
-            marks += _marks(fit, k, group)
+            points = measured(group, k, curve.cluster_time, curve.deviation, ends)
+            if result.converged:
+                traces += _curve(points, result, curve.rate, time, fit.model_curve(axis.name, time))
+            else:
+                traces.append(points)
+            marks += _marks(result, points)
         yield _view(own, traces, **allan(own[0]), marks=marks, single=True)
 
     return each(_axes(fit), "{}", views)
+
+
+def measured(group: int, k: int, x: _Places, y: _Columns, ends: Sequence[_Columns]) -> Trace:
+    """The measured points of the axis in column k, with their intervals."""
+    low, high = (end[:, k] for end in ends)
+    return Trace(group, "measured", x, y[:, k], low, high)
 
 
 def _axes(fit: Fit) -> list[Axis]:
@@ -99,81 +112,78 @@ def _axes(fit: Fit) -> list[Axis]:
 
 
 def _view(own: Sequence[Axis], traces: Sequence[Trace], **more: Any) -> View:
-    """View of axes; terms are hidden at first where there are several."""
-    hidden = ["terms"] if len(own) > 1 and any(trace.layer == "terms" for trace in traces) else []
-    return View(groups=[axis.name for axis in own], traces=traces, **{"hidden": hidden, **more})
+    """View of axes; if there are several, it has layers that are hidden at first."""
+    layers = {trace.layer for trace in traces}
+    hidden = [layer for layer in ("terms", _CHANCE) if layer in layers and len(own) > 1]
+    return View(groups=[axis.name for axis in own], traces=traces, hidden=hidden, **more)
 
 
 def _curve(
-    measured: Trace, result: AxisFit, rate: float, x: _Places, stated: Sequence[_Places]
+    points: Trace, result: AxisFit, rate: float, x: _Places, stated: Iterable[_Places]
 ) -> Iterator[Trace]:
     """The model at x, its terms, and the measured points, with the largest term at each of them.
 
     The model is what the fit states: Allan deviations with the ends of their interval, or densities.
     """
-    if not result.converged:
-        yield measured
-        return
-    group, (line, *ends) = measured.group, stated
+    group, (line, *ends) = points.group, stated
     low, high = ends or (None, None)
-    at, drawn = (_powers(result, rate, to, bool(ends)) for to in (measured.x, x))
-    yield Trace(group, "model", x, line, low, high, "line")
+    at, drawn = (_powers(result, rate, to, bool(ends)) for to in (points.x, x))
+    yield Trace(group, "model", x, line, low, high, look="line")
     total = sum(drawn.values())
     for power in drawn.values():
         # Where a term is next to nothing, it would only stretch the scale.
         some = np.flatnonzero(power > _LITTLE * total)[::_EVERY]
         y = power[some]
         yield Trace(group, "terms", x[some], np.sqrt(y) if ends else y, look="dashes")
-    every, titles = np.array([*at.values()]), [title_of(label, result.axis.sensor) for label in at]
-    words = [
-        f"mostly {titles[k]} ({percent(float(y[k] / max(y.sum(), 1e-300)))})"
-        for y, k in zip(every.T, np.argmax(every, axis=0) if at else (), strict=True)
-    ]
+    titles, words = [title_of(label, result.axis.sensor) for label in at], list[str]()
+    for y in np.array([*at.values()]).T:
+        k = int(np.argmax(y))
+        words.append(f"mostly {titles[k]} ({percent(float(y[k] / max(y.sum(), 1e-300)))})")
     names = list(dict.fromkeys(words))
-    yield dataclasses.replace(measured, labels=[names.index(word) for word in words], names=names)
+    yield dataclasses.replace(points, labels=[names.index(word) for word in words], names=names)
 
 
 def _powers(result: AxisFit, rate: float, x: _Places, is_allan: bool) -> dict[str, _Places]:
     """Allan variances at times, or one-sided densities, of the terms that have one, by labels."""
-    terms = dict(zip(result.term_labels, result.model.sampled(rate).processes, strict=True))
-    if is_allan:
-        known = {label: term for label, term in terms.items() if not isinstance(term, allan_figure.Transient)}
-        return {label: np.asarray(term.allan_variance(x)) for label, term in known.items()}
-    known = {label: term for label, term in terms.items() if not term.deterministic}
-    return {label: 2.0 * np.asarray(term.sampled_psd(x, rate)) for label, term in known.items()}
+    found = {}
+    for label, term in zip(result.term_labels, result.model.sampled(rate).processes, strict=True):
+        if is_allan and not isinstance(term, Transient):
+            found[label] = np.asarray(term.allan_variance(x))
+        elif not is_allan and not term.deterministic:
+            found[label] = 2.0 * np.asarray(term.sampled_psd(x, rate))
+    return found
 
 
-def _marks(fit: Fit, k: int, group: int) -> Iterator[Mark]:
-    """N at 1 s, K at 3 s, the minimum of the curve, and 0.664 B."""
-    curve, result = fit.curve, fit.results[k]
+def _marks(result: AxisFit, points: Trace) -> Iterator[Mark]:
+    """N at 1 s, K at 3 s, the minimum of the measured curve, and 0.664 B."""
     every = result.coefficients.values() if result.converged else ()
     known = {c.label: c for c in every if c.detected and c.measured and not c.held}
     for label, at in (("angle_random_walk", 1.0), ("rate_random_walk", 3.0)):
-        if (c := known.get(label)) is not None:
-            yield Mark(f"{c.symbol} at {at:g} s", at, c.value, group)
+        if label in known:
+            yield Mark(f"{known[label].symbol} at {at:g} s", at, known[label].value, points.group)
     # The longest times are so uncertain that the lowest of them is lower by chance.
-    high = curve.confidence_interval(0.95)[1][:, k]
-    lowest = int(np.argmin(np.fmax(high, curve.deviation[:, k])))
-    at = float(curve.cluster_time[lowest])
-    yield Mark("minimum", at, float(curve.deviation[lowest, k]), group)
-    if (c := known.get("bias_instability")) is not None:
-        yield Mark("0.664·B", at, MINIMUM * c.value, group)
+    high: Any = points.high
+    lowest = int(np.argmin(np.fmax(high, points.y)))
+    at = float(points.x[lowest])
+    yield Mark("minimum", at, float(points.y[lowest]), points.group)
+    if "bias_instability" in known:
+        yield Mark("0.664·B", at, MINIMUM * known["bias_instability"].value, points.group)
 
 
 def densities(fit: Fit, spectrum: PowerSpectrum, findings: Sequence[Finding]) -> list[Chart]:
     """One-sided PSD with 95 % intervals, models, terms, and the findings that are in the spectrum."""
-    low, high = spectrum.confidence_interval(0.95)
+    ends = spectrum.confidence_interval(0.95)
 
     def views(own: Sequence[Axis]) -> Iterator[View]:
         traces = list[Trace]()
         for group, axis in enumerate(own):
-            k, result, x = spectrum.names.index(axis.name), fit[axis.name], spectrum.frequency
-            points = (x, spectrum.density[:, k], low[:, k], high[:, k])
-            stated = []
+            k, result = spectrum.names.index(axis.name), fit[axis.name]
+            points = measured(group, k, spectrum.frequency, spectrum.density, ends)
             if result.converged:
-                x = spectrum_figure.frequencies(spectrum, result.model)
-                stated = [fit.model_density(axis.name, x)]
-            traces += _curve(Trace(group, "measured", *points), result, spectrum.rate, x, stated)
+                f = spectrum_figure.frequencies(spectrum, result.model)
+                traces += _curve(points, result, spectrum.rate, f, [fit.model_density(axis.name, f)])
+            else:
+                traces.append(points)
         spans = [*_places(findings, own, "frequency", 0.5 * spectrum.rate)]
         yield _view(own, traces, **psd(own[0]), spans=spans)
 
@@ -219,52 +229,36 @@ def residuals(fit: Fit, spectrum: PowerSpectrum | None) -> list[Chart]:
 
 def _residual(own: Sequence[Axis], residuals: Sequence[Residual], labels: Sequence[str]) -> View:
     """Residuals of axes with their 68 % intervals, and where 95 % of each lie by chance."""
-    traces, chance = list[Trace](), "95 % by chance"
+    traces = []
     for group, residual in enumerate(residuals):
-        p = residual.points
+        p, (low, high) = residual.points, residual.chance
         traces.append(Trace(group, "residual", p.x, p.y, p.y - p.spread[0], p.y + p.spread[1]))
-        low, high = residual.chance
-        traces.append(Trace(group, chance, p.x, np.zeros_like(p.y), low, high, "dashes"))
-    more = {"log": "x", "interval": "68 %", "hidden": [chance] if len(own) > 1 else []}
-    return _view(own, traces, **_labels((*labels, "measured/model − 1"), ("%", 1.0), "%"), **more)
+        traces.append(Trace(group, _CHANCE, p.x, np.zeros_like(p.y), low, high, "dashes"))
+    shown = _labels((*labels, "measured/model − 1"), ("%", 1.0), "%")
+    return _view(own, traces, **shown, log="x", interval="68 %")
 
 
-class Series(NamedTuple):
-    """An axis of a record over time, less its mean: ends and means of blocks."""
-
-    time: Float[np.ndarray, " blocks"]
-    low: Float[np.ndarray, " blocks"]
-    mean: Float[np.ndarray, " blocks"]
-    high: Float[np.ndarray, " blocks"]
-
-
-def thinned(x: Float[np.ndarray, " n"], rate: float, most: int = _BLOCKS) -> Series:
-    """Least, mean and largest sample of each of some blocks, so that no sample is missed."""
+def thinned(group: int, x: Float[np.ndarray, " n"], rate: float, most: int = _BLOCKS) -> Trace:
+    """Mean, least and largest sample of each of some blocks, less the mean of all: no sample is missed."""
     first, length = draw.blocks(len(x), most)
     x = np.ascontiguousarray(x) - np.mean(x)
     time = (first + 0.5 * (length - 1)) / rate
-    return Series(
-        time, np.minimum.reduceat(x, first), np.add.reduceat(x, first) / length, np.maximum.reduceat(x, first)
-    )
+    low, high = np.minimum.reduceat(x, first), np.maximum.reduceat(x, first)
+    return Trace(group, "mean of blocks", time, np.add.reduceat(x, first) / length, low, high, look="line")
 
 
-def over_time(recording: Recording, fit: Fit, critique: Critique | None) -> list[Chart]:
-    """The samples over time with gaps, and parts that were left out or the findings that have a place.
-
-    With a critique the recording is what was criticized.
-    """
-    findings = () if critique is None else critique.findings
+def over_time(recording: Recording, fit: Fit | None, findings: Sequence[Finding]) -> list[Chart]:
+    """The samples over time with gaps, what was left out of a fit, and the findings that have a place."""
 
     def views(own: Sequence[Axis]) -> Iterator[View]:
         traces, marks = list[Trace](), list[Mark]()
         for group, axis in enumerate(own):
-            s = thinned(recording.values[:, recording.names.index(axis.name)], recording.rate)
-            traces.append(Trace(group, "mean of blocks", s.time, s.mean, s.low, s.high, look="line"))
-            marks += _outliers(findings, axis.name, group, s)
-        spans = [*_parts(recording, fit, own)] if critique is None else []
+            samples = recording.values[:, recording.names.index(axis.name)]
+            traces.append(thinned(group, samples, recording.rate))
+            marks += _outliers(findings, axis.name, traces[-1])
+        spans = [*_parts(recording, fit, own)] if fit is not None else []
         spans += _places(findings, own, "time", recording.duration)
-        more = {"marks": marks, "spans": spans, "log": "", "interval": "least … largest"}
-        yield _view(own, traces, **over(own[0]), **more)
+        yield _view(own, traces, **over(own[0]), marks=marks, spans=spans)
 
     return each(recording.axes, "{} over time", views)
 
@@ -283,31 +277,28 @@ def _parts(recording: Recording, fit: Fit, own: Sequence[Axis]) -> Iterator[Span
                 yield Span(fact.kind, start, stop)
 
 
-def _outliers(findings: Sequence[Finding], name: str, group: int, s: Series) -> Iterator[Mark]:
+def _outliers(findings: Sequence[Finding], name: str, samples: Trace) -> Iterator[Mark]:
     """Single samples that were found to be outliers."""
+    ends = np.array([samples.low, samples.high])
     for finding in (member for f in findings for member in (f.members or (f,))):
         if name in finding.axes and finding.domain == "time":
             for time in numbers_in(finding.details, "times")[:_MOST]:
-                k = int(np.clip(np.searchsorted(s.time, time), 0, len(s.time) - 1))
-                near = slice(max(k - 1, 0), k + 1)
-                y = max((*s.low[near], *s.high[near]), key=abs)
-                yield Mark("", float(time), float(y), group)
+                k = min(int(np.searchsorted(samples.x, time)), len(samples.x) - 1)
+                y = max(ends[:, max(k - 1, 0) : k + 1].flat, key=abs)
+                yield Mark("", float(time), float(y), samples.group)
 
 
-def through_time(dynamic: DynamicAllan, critique: Critique | None) -> list[Chart]:
+def through_time(dynamic: DynamicAllan, findings: Sequence[Finding]) -> list[Chart]:
     """Allan deviations in successive windows at some cluster times, with the findings that have a place."""
-    low, high = dynamic.confidence_interval()
+    ends = dynamic.confidence_interval()
     some = np.unique(np.linspace(0, len(dynamic.cluster_time) - 1, _SHOWN).astype(int)).tolist()
-    findings, total = () if critique is None else critique.findings, dynamic.window * len(dynamic.time)
 
     def views(own: Sequence[Axis]) -> Iterator[View]:
-        spans = [*_places(findings, own, "time", total)]
+        spans = [*_places(findings, own, "time", dynamic.window * len(dynamic.time))]
         for m in some:
-            traces = list[Trace]()
-            for group, axis in enumerate(own):
-                k = dynamic.axes.index(axis)
-                y, y_low, y_high = (of[:, m, k] for of in (dynamic.deviation, low, high))
-                traces.append(Trace(group, "measured", dynamic.time, y, y_low, y_high))
+            y, *at = (of[:, m] for of in (dynamic.deviation, *ends))
+            places = enumerate(map(dynamic.axes.index, own))
+            traces = [measured(group, k, dynamic.time, y, at) for group, k in places]
             labels = allan(own[0], f"τ = {plain(dynamic.cluster_time[m], 3)} s")
             yield _view(own, traces, **{**labels, "x": "time since the start"}, spans=spans, log="y")
 

@@ -57,11 +57,11 @@ class Page(ByValue):
 
     def _repr_html_(self) -> str:
         # In a frame of its own, without access to the notebook.
-        look = f'style="width:100%;height:{_NOTEBOOK_HEIGHT}px;border:0"'
-        frame = (
-            f'sandbox="allow-scripts allow-popups allow-downloads" title="{html.escape(self.title)}" {look}'
+        document, title = html.escape(self.html), html.escape(self.title)
+        return (
+            f'<iframe srcdoc="{document}" sandbox="allow-scripts allow-popups allow-downloads" '
+            f'title="{title}" style="width:100%;height:{_NOTEBOOK_HEIGHT}px;border:0"></iframe>'
         )
-        return f'<iframe srcdoc="{html.escape(self.html)}" {frame}></iframe>'
 
     def __repr__(self) -> str:
         return f"<Page {self.title!r}, {len(self.html) / 1e6:.2f} MB>"

@@ -67,8 +67,9 @@ def report(
     """
     kinds = Fit | Critique | FleetResult | Comparison | Recording | str | os.PathLike
     several = isinstance(data, list | tuple) and all(isinstance(one, kinds) for one in data)
-    every: list[Any] = list(data) if several else [data]  # type: ignore[arg-type]
-    parts, shown, names = list[Reported](), list[Section](), list[str]()
+    every: Any = data if several else [data]
+    parts, names = list[Reported](), list[str]()
+    shown = list[Section]()
     for one in every:
         if isinstance(one, FleetResult):
             shown += sections.of_fleet(one, pages or {})
@@ -80,7 +81,7 @@ def report(
             part = _parts(one, critique, recording)
             judged = None if spec is None else check_spec(part.fit, spec)
             parts.append(part._replace(limits=judged, conditions=notes or {}))
-    page = page_about(parts, title or (", ".join(names) if names else None), shown)
+    page = page_about(parts, title or ", ".join(names), shown)
     if path is not None:
         page.save(path)
     return page
@@ -114,12 +115,13 @@ def page_about(parts: Sequence[Reported], title: str | None = None, first: Seque
 
 def _complete(one: Reported) -> Reported:
     """With what the record states, and with the samples and the spectrum if there are samples."""
-    recording, spectrum, known = one.recording, one.spectrum, dict(one.conditions)
+    recording, critique = one.recording, one.critique
+    spectrum, known = one.spectrum, dict(one.conditions)
     if recording is not None:
         known |= _stated(recording)
-    if (found := one.critique) is not None and (recording is None or recording.duration != found.duration):
+    if critique is not None and (recording is None or recording.duration != critique.duration):
         # Places of findings are those in the part that was criticized.
-        recording = found.recording()
+        recording = critique.recording()
     if spectrum is None and recording is not None:
         spectrum = power_spectrum(recording)
     return one._replace(recording=recording, spectrum=spectrum, conditions=known)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import datetime
 import platform
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from importlib.metadata import version
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -44,9 +44,10 @@ from allanjax.presentation.page.blocks import (
     Trace,
     Units,
     View,
+    texts,
 )
 from allanjax.record.recording import Axis, Recording
-from allanjax.record.units import SI, unit_scale
+from allanjax.record.units import unit_scale
 from allanjax.spectrum.psd import PowerSpectrum
 
 if TYPE_CHECKING:
@@ -61,7 +62,7 @@ _STYLES = {"pass": "verdict good", "fail": "verdict bad", "undecided": "verdict 
 
 
 class Reported(NamedTuple):
-    """What a page shows of one recording; what is missing is left out or follows from the rest.
+    """The results about one recording that a page shows; it leaves out what is None.
 
     Attributes:
         fit: its fit.
@@ -86,21 +87,24 @@ class Reported(NamedTuple):
 
 def of_record(one: Reported) -> Iterator[Section]:
     """Sections about one recording; what is not given is left out."""
-    fit, critique, recording, spectrum = one[:4]
+    fit, critique = one.fit, one.critique
     findings = () if critique is None else critique.findings
     shown = Row([*coefficients(fit), *charts.curves(fit)])
     yield Section("Result", [*verdict(one), shown, *warnings(fit, critique)])
     if one.limits is not None:
-        told = [Text(line, "note") for line in one.limits._notes()]
-        yield Section("Limits", [*map(Table.of, one.limits._tables()), *told])
-    if spectrum is not None:
-        yield Section("Spectrum", [Row(charts.densities(fit, spectrum, findings))])
-    if recording is not None:
-        yield Section("Record", [Row(charts.over_time(recording, fit, critique))])
-        if recording.n >= _LONG:
-            dynamic = dynamic_allan(recording)
-            yield Section("Through time", [Row(charts.through_time(dynamic, critique))], printed=False)
-    if residuals := charts.residuals(fit, spectrum):
+        tables = map(Table.of, one.limits._tables())
+        yield Section("Limits", [*tables, *texts(one.limits._notes(), "note")])
+    if one.spectrum is not None:
+        yield Section("Spectrum", [Row(charts.densities(fit, one.spectrum, findings))])
+    if one.recording is not None:
+        # With a critique the recording is what was criticized.
+        fitted = fit if critique is None else None
+        yield Section("Record", [Row(charts.over_time(one.recording, fitted, findings))])
+        if one.recording.n >= _LONG:
+            dynamic = dynamic_allan(one.recording)
+            yield Section("Through time", [Row(charts.through_time(dynamic, findings))], printed=False)
+    residuals = charts.residuals(fit, one.spectrum)
+    if residuals:
         yield Section("Residuals", [Row(residuals)], printed=False)
     if critique is not None:
         # Here, as the critic imports slow libraries.
@@ -140,14 +144,13 @@ def verdict(one: Reported) -> Iterator[Text]:
         yield Text(f"The noise model fits {where}.", "verdict good" if alone else "")
     if also:
         yield Text(f"Also found: {_first(also)}.")
-    size = fit._title()
-    yield Text(" · ".join([size, *map(": ".join, one.conditions.items())]), "note")
+    yield Text(" · ".join([fit._title(), *map(": ".join, one.conditions.items())]), "note")
 
 
-def _first(texts: Sequence[str]) -> str:
+def _first(told: Sequence[str]) -> str:
     """The first three texts, and how many there are more."""
-    more = [f"and {len(texts) - 3} more"] if len(texts) > 3 else []
-    return "; ".join([*texts[:3], *more])
+    more = [f"and {len(told) - 3} more"] if len(told) > 3 else []
+    return "; ".join([*told[:3], *more])
 
 
 def _found(one: Reported) -> tuple[list[str], list[str]]:
@@ -177,7 +180,7 @@ def warnings(fit: Fit, critique: Critique | None) -> Iterator[Text]:
     known = dict.fromkeys((*fit.warnings, *(critique.warnings if critique is not None else ())))
     reasons = {**fit.not_measured, **fit.without_result}
     left = [f"{axis}: {why}" for axis, why in reasons.items() if not any(why in text for text in known)]
-    yield from (Text(text, "warning") for text in (*known, *left))
+    yield from texts((*known, *left), "warning")
 
 
 def coefficients(fit: Fit) -> list[Table]:
@@ -186,12 +189,15 @@ def coefficients(fit: Fit) -> list[Table]:
     for sensor, own in charts.by_sensor([r.axis for r in fit.results if r.converged]).items():
         results = [fit[axis.name] for axis in own]
         found = [{c.label: c for c in r.coefficients.values() if c.term not in r.further} for r in results]
-        every = {label: c for of in found for label, c in of.items()}
-        known = [x for x in dict.fromkeys((*SYMBOLS, *every)) if x in every]
-        labels = [x for x in known if x in MAIN or _shown(of[x] for of in found if x in of)]
-        rows = [[_head(every[label]), *(_cell(of.get(label)) for of in found)] for label in labels]
-        heads = [SENSORS[sensor].capitalize(), *(r.axis.name for r in results)]
+        rows = []
+        for label in dict.fromkeys((*SYMBOLS, *(label for of in found for label in of))):
+            cells = [of.get(label) for of in found]
+            known = [c for c in cells if c is not None]
+            is_shown = label in MAIN or any(c.held or (c.detected and c.measured) for c in known)
+            if known and is_shown:
+                rows.append([_head(known[-1]), *map(_cell, cells)])
         rows.append([Cell("fit"), *(Cell(r.word) for r in results)])
+        heads = (SENSORS[sensor].capitalize(), *(axis.name for axis in own))
         tables.append(Table([*map(Cell, heads)], rows, "± 1σ, with 95 % intervals below"))
     return tables
 
@@ -199,11 +205,6 @@ def coefficients(fit: Fit) -> list[Table]:
 def _head(c: Estimate) -> Cell:
     """Symbol, name and units of a coefficient."""
     return Cell(c.symbol, remark=f"{c.title} [{c.usual_unit}]", si_remark=f"{c.title} [{c.si_unit}]")
-
-
-def _shown(every: Iterable[Estimate]) -> bool:
-    """Whether a coefficient is detected on any axis."""
-    return any(c.held or (c.detected and c.measured) for c in every)
 
 
 def _cell(c: Estimate | None) -> Cell:
@@ -225,9 +226,9 @@ def details(fit: Fit, check: Check | None) -> Iterator[Block]:
     if check is not None:
         yield Text(f"Check: {check.summary()}.")
         lengths = [(n.coefficient.axis.name, n.coefficient.symbol, n.describe()) for n in check.lengths]
-        rows = [[*map(Cell, row)] for row in lengths]
-        yield Fold("How long to record", [Table([*map(Cell, ("axis", "coefficient", "length"))], rows)])
-    yield from (Text(f"Note: {note}", "note") for note in fit.notes)
+        table = Table.of_texts(("axis", "coefficient", "length"), lengths)
+        yield Fold("How long to record", [table])
+    yield from texts((f"Note: {note}" for note in fit.notes), "note")
 
 
 # --- Exports and origin -------------------------------------------------------------------------------------
@@ -235,16 +236,16 @@ def details(fit: Fit, check: Check | None) -> Iterator[Block]:
 
 def exports(fit: Fit) -> Iterator[Block]:
     """What `export` writes for each target that takes this fit, and the tables as CSV."""
-    texts = []
+    found = []
     for name, target in TARGETS.items():
         try:
-            texts.append((f"{target.title} ({name})", exported(fit, name).text))
+            found.append((f"{target.title} ({name})", exported(fit, name).text))
         except AllanjaxError:
             # The target needs what this recording does not have.
             continue
-    texts += [("Coefficients as CSV", coefficients_csv(fit)), ("Allan deviations as CSV", curve_csv(fit))]
+    found += [("Coefficients as CSV", coefficients_csv(fit)), ("Allan deviations as CSV", curve_csv(fit))]
     yield Text("Noise parameters for estimators, autopilots and simulators, with formulas in the comments.")
-    yield Exports(texts)
+    yield Exports(found)
 
 
 def made(origin: Mapping[str, str]) -> Table:
@@ -256,7 +257,7 @@ def made(origin: Mapping[str, str]) -> Table:
         "with": ", ".join(f"{name} {version(name)}" for name in ("jax", "numpy", "scipy", "optimistix")),
         "Python": f"{platform.python_version()}, {platform.system()} {platform.machine()}",
     }
-    return Table([Cell("what"), Cell("value")], [[Cell(name), Cell(text)] for name, text in known.items()])
+    return Table.of_texts(("what", "value"), known.items())
 
 
 # --- Comparisons and fleets ---------------------------------------------------------------------------------
@@ -264,21 +265,18 @@ def made(origin: Mapping[str, str]) -> Table:
 
 def of_comparison(comparison: Comparison) -> Iterator[Section]:
     """Curves over one another, the table of coefficients, drift and growth of errors."""
-    tested = [
-        d for row in comparison.rows for d in row.differences if d is not None and d.differs is not None
-    ]
-    different = sum(bool(d.differs) for d in tested)
+    every = [d.differs for row in comparison.rows for d in row.differences if d is not None]
+    tested = [differs for differs in every if differs is not None]
     reference = comparison.labels[comparison.reference]
-    verdict = f"{different} of {len(tested)} coefficients differ from those of {reference}."
+    verdict = f"{sum(tested)} of {len(tested)} coefficients differ from those of {reference}."
     if not tested:
         verdict = "Whether coefficients differ cannot be tested without their errors."
-    coefficients, graded, *growths = (Table.of(columns) for columns in comparison._tables())
-    names = axes_of(comparison.sensors)
-    axes = [Axis(x, of, SI[of]["rate"]) for x in names for of in SENSORS if x.startswith(of)]
+    tables = [*map(Table.of, comparison._tables())]
+    axes = axes_of(comparison.sensors)
     over = charts.each(axes, "{}", lambda own: [_view(comparison, axis) for axis in own])
-    yield Section("Comparison", [Text(verdict, "verdict"), Row(over), Row([coefficients, graded])])
-    yield Section("Drift and growth of errors", [Row(growths)])
-    yield Section("Sensors", [Text(line, "note") for line in comparison._notes()])
+    yield Section("Comparison", [Text(verdict, "verdict"), Row(over), Row(tables[:2])])
+    yield Section("Drift and growth of errors", [Row(tables[2:])])
+    yield Section("Sensors", texts(comparison._notes(), "note"))
 
 
 def _view(comparison: Comparison, axis: Axis) -> View:
@@ -288,8 +286,8 @@ def _view(comparison: Comparison, axis: Axis) -> View:
         time = _TIMES
         if one.curve is not None and name in one.curve.names:
             k, time = one.curve.names.index(name), one.curve.cluster_time
-            low, high = (end[:, k] for end in one.curve.confidence_interval(0.95))
-            traces.append(Trace(group, "measured", time, one.curve.deviation[:, k], low, high))
+            ends = one.curve.confidence_interval(0.95)
+            traces.append(charts.measured(group, k, time, one.curve.deviation, ends))
         if one.model(name) is not None:
             kind = "at least" if one.curve is None and one.lacking(name) else "model"
             traces.append(Trace(group, kind, time, one.deviation(name, time), look="line"))
@@ -308,29 +306,31 @@ def of_fleet(fleet: FleetResult, pages: Mapping[str, str]) -> Iterator[Section]:
     blocks.append(Row([*map(Table.of, tables)]))
     if fleet.checks:
         blocks += [Text(f"{verdict_of(fleet.checks)}."), Row([Table.of(table_of_limits(fleet.checks))])]
-    blocks += [Text(line, "note") for line in fleet.lines(ROWS) if line not in fleet.notes]
-    blocks += [Text(note, "warning") for note in fleet.notes]
+    blocks += texts((line for line in fleet.lines(ROWS) if line not in fleet.notes), "note")
+    blocks += texts(fleet.notes, "warning")
     if fleet.errors:
-        errors = [Text(f"{error['file']}: {error['message']}", "warning") for error in fleet.errors]
-        blocks.append(Fold(f"{len(errors)} errors", errors))
+        errors = (f"{error['file']}: {error['message']}" for error in fleet.errors)
+        blocks.append(Fold(f"{len(fleet.errors)} errors", texts(errors, "warning")))
     yield Section("Result", blocks)
-    if charts := list(_distributions(table)):
-        yield Section("Distributions", [Row(charts)])
+    distributions = [*_distributions(table)]
+    if distributions:
+        yield Section("Distributions", [Row(distributions)])
     yield Section("Units", [_units(table, pages)])
 
 
 def _distributions(table: pd.DataFrame) -> Iterator[Chart]:
     """Values of each coefficient in ascending order, with their intervals; outlying units are named."""
     found = table[table["detected"] & table["measured"]]
-    parts: Mapping[Any, Any] = dict(iter(found.groupby(["sensor", "coefficient"], sort=False)))
-    for (sensor, coefficient), of in parts.items():
+    parts: Any = found.groupby(["sensor", "coefficient"], sort=False)
+    for (sensor, coefficient), of in parts:
         traces, marks = list[Trace](), list[Mark]()
         unit, axes = of["unit"].iloc[0], list(of["axis"].unique())
         si, name = unit_scale(unit, sensor), title_of(coefficient, sensor)
         for group, axis in enumerate(axes):
             own = of[of["axis"] == axis].sort_values("value")
             share, names = 100.0 * (np.arange(len(own)) + 0.5) / len(own), own["recording"].tolist()
-            value, low, high = (si * own[key].to_numpy() for key in ("value", "lower_95", "upper_95"))
+            value = si * own["value"].to_numpy()
+            low, high = (si * own[key].to_numpy() for key in ("lower_95", "upper_95"))
             traces.append(Trace(group, "units", share, value, low, high, labels=range(len(own)), names=names))
             for k in np.flatnonzero(own["outlying"] | own["odd_record"]).tolist():
                 text = f"{names[k]} {times(own['ratio'].iloc[k])}"
@@ -349,8 +349,8 @@ def _units(table: pd.DataFrame, pages: Mapping[str, str]) -> Units:
     for c in known.itertuples():
         limit = None if np.isnan(c.upper_limit_95 or np.nan) else f"< {c.upper_limit_95:.3g}"
         cells[c.recording, c.coefficient, c.axis] = float(f"{c.value:.4g}") if c.detected else limit
-    for unit, *texts in zip(*(table[key] for key in ("recording", "remarks", "warnings")), strict=True):
-        parts.setdefault(unit, {}).update(dict.fromkeys(filter(None, texts)))
+    for unit, *said in zip(*(table[key] for key in ("recording", "remarks", "warnings")), strict=True):
+        parts.setdefault(unit, {}).update(dict.fromkeys(filter(None, said)))
     rows = []
     for unit, remarks in parts.items():
         first = [unit, pages[unit]] if unit in pages else unit

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Iterator, Mapping, Sequence
 from math import isfinite
 from typing import Any
@@ -14,7 +15,7 @@ from allanjax.critic.stage import Stage
 from allanjax.estimate.result import Fit
 from allanjax.noise.estimate import title_of
 from allanjax.presentation import critique_story as story
-from allanjax.presentation.page.blocks import Block, Cell, Chart, Fold, Table, Text, Trace, View
+from allanjax.presentation.page.blocks import Block, Chart, Fold, Table, Text, Trace, View, texts
 from allanjax.presentation.page.charts import allan, line, over, psd, thinned
 from allanjax.record.units import Sensor, unit_scale
 
@@ -22,19 +23,27 @@ from allanjax.record.units import Sensor, unit_scale
 _BLOCKS, _OPEN = 300, 1
 # Causes that disturb a record; others, such as filters, are properties of the sensor.
 _DISTURBANCES = (
-    *("sinusoid", "bias_step", "outliers", "event", "disturbance", "saturation", "variance_change"),
-    *("slow_change", "warm_up", "temperature", "telegraph", "common_mode"),
+    "sinusoid",
+    "bias_step",
+    "outliers",
+    "event",
+    "disturbance",
+    "saturation",
+    "variance_change",
+    "slow_change",
+    "warm_up",
+    "temperature",
+    "telegraph",
+    "common_mode",
 )
 
 
 def in_words(critique: Critique, fit: Fit) -> tuple[list[str], list[str]]:
     """Disturbances that were found, and properties of the sensor, such as filters, in words."""
-    told = [
-        (f.cause in _DISTURBANCES, _told(f, critique, fit))
-        for f in critique.findings
-        if f.cause != UNEXPLAINED
-    ]
-    disturbed, also = ([text for is_one, text in told if is_one is wanted] for wanted in (True, False))
+    disturbed, also = list[str](), list[str]()
+    for f in critique.findings:
+        if f.cause != UNEXPLAINED:
+            (disturbed if f.cause in _DISTURBANCES else also).append(_told(f, critique, fit))
     return disturbed, also
 
 
@@ -57,28 +66,30 @@ def _told(finding: Finding, critique: Critique, fit: Fit) -> str:
 
 def findings_in_full(critique: Critique) -> Iterator[Block]:
     """The table of findings, each finding with its evidence, and what is left in each axis."""
-    if causes := story.causes_of(critique.findings):
+    causes = story.causes_of(critique.findings)
+    if causes:
         columns = [c for c in story.findings_columns(critique, causes) if c.head != "nats"]
         yield Table.of(columns, "Findings, those that change most first")
     for k, finding in enumerate(critique.findings):
         name = "unexplained" if finding.cause == UNEXPLAINED else finding.named(finding.cause)
         title = f"{k + 1}. {name}: {', '.join(finding.axes)}"
+        blocks: list[Block] = [Text(story.sentence(finding))]
         rows = [*_changed(finding, critique[finding.shown].axis.sensor)]
-        tables = [Table([*map(Cell, ("", "before", "after"))], rows)] if rows else []
-        blocks: list[Block] = [Text(story.sentence(finding)), *tables, *_evidence(critique, finding)]
-        yield Fold(title, blocks, is_open=k < _OPEN)
-    yield from (Text(line, "note") for line in story.axis_lines(critique, brief=False))
+        if rows:
+            blocks.append(Table.of_texts(("", "before", "after"), rows))
+        yield Fold(title, [*blocks, *_evidence(critique, finding)], is_open=k < _OPEN)
+    yield from texts(story.axis_lines(critique, brief=False), "note")
 
 
-def _changed(finding: Finding, sensor: Sensor) -> Iterator[list[Cell]]:
+def _changed(finding: Finding, sensor: Sensor) -> Iterator[list[str]]:
     """Coefficients and the drift of simulations before and after a finding, if these differ."""
     changes: dict[str, Any] = {title_of(c.label, sensor): c for c in finding.coefficients}
-    if (drift := finding.drift) is not None:
-        changes[f"simulated drift over {duration(drift.horizon)}"] = drift
+    if finding.drift is not None:
+        changes[f"simulated drift over {duration(finding.drift.horizon)}"] = finding.drift
     for title, c in changes.items():
         if story.notable(c.before, c.after):
-            texts = [f"{plain(x, 3)} {c.unit}" if isfinite(x) else "none" for x in (c.before, c.after)]
-            yield [*map(Cell, (title, *texts))]
+            values = (c.before, c.after)
+            yield [title, *(f"{plain(x, 3)} {c.unit}" if isfinite(x) else "none" for x in values)]
 
 
 def _evidence(critique: Critique, finding: Finding) -> Iterator[Chart]:
@@ -88,13 +99,12 @@ def _evidence(critique: Critique, finding: Finding) -> Iterator[Chart]:
     if own is None:
         return
     before, after = (axis.stages[k % len(axis.stages)] for k in own.stages)
-    pairs = [("before", before), ("after", after)] if before is not after else [("record", before)]
-    groups = [name for name, _ in pairs]
-    found = [summaries(stage) for _, stage in pairs]
-    for _, stage in pairs:
+    stages = {"before": before, "after": after} if before is not after else {"record": before}
+    found = [summaries(stage) for stage in stages.values()]
+    for stage in stages.values():
         stage.forget()
-    kinds = enumerate((allan(axis.axis), psd(axis.axis)))
-    views = [_compared(groups, [of[k] for of in found], labels) for k, labels in kinds]
+    labels = allan(axis.axis), psd(axis.axis)
+    views = [_compared([*stages], *kind) for kind in zip(zip(*found, strict=True), labels, strict=True)]
     if finding.domain == "frequency":
         views.reverse()
     elif before is not after:
@@ -114,10 +124,7 @@ def _compared(groups: Sequence[str], found: Sequence[Curve], labels: Mapping[str
 
 def _effect(axis: AxisCritique, before: Stage, after: Stage) -> View:
     """The record over time and what the finding subtracts from it."""
-    traces = []
-    for group, x in enumerate((before.x, before.x - after.x)):
-        s = thinned(x, before.rate, _BLOCKS)
-        low, high = (s.low, s.high) if group == 0 else (None, None)
-        traces.append(Trace(group, "mean of blocks", s.time, s.mean, low, high, look="line"))
-    more = over(axis.axis, "Over time") | {"log": "", "interval": "least … largest"}
-    return View(groups=["record", "effect"], traces=traces, **more)
+    record = thinned(0, before.x, before.rate, _BLOCKS)
+    effect = thinned(1, before.x - after.x, before.rate, _BLOCKS)
+    traces = [record, dataclasses.replace(effect, low=None, high=None)]
+    return View(groups=["record", "effect"], traces=traces, **over(axis.axis, "Over time"))
