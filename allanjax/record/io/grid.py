@@ -113,21 +113,19 @@ class Stamps:
         pieces = self._pieces() if self._unsteadiness() > MAX_RATE_DIFFERENCE else []
         if pieces:
             raise self._error(self._of_pieces(pieces), "rate")
-        coarse = self._is_coarse()
-        found = self._error("", "jitter") if coarse else self._stamped(rate, gaps)
+        places, how = None, ""
+        if self._is_coarse():
+            how = self.why_even()
+            places = None if how else self._demodulated()
+        if places is not None:
+            return self._with_lost(places, rate, gaps)
+        found = self._even(rate, how) if how else self._stamped(rate, gaps)
         if isinstance(found, Grid):
             return found
         how = self.why_even()
-        if how:
-            return self._even(rate, how)
-        places = self._demodulated() if coarse else None
-        if places is not None:
-            return self._with_lost(places, rate, gaps)
-        if coarse:
-            found = self._stamped(rate, gaps)
-            if isinstance(found, Grid):
-                return found
-        raise found
+        if not how:
+            raise found
+        return self._even(rate, how)
 
     def _is_coarse(self) -> bool:
         """Return whether intervals differ as the resolution of the stamps is not small beside them."""
