@@ -34,7 +34,7 @@ _WITHIN = 0.5
 _SHOWING = 10
 # Resolution of stamps, in intervals, from which grids are sought by the line in the spectrum of the stamps;
 # steps in that spectrum; the power of a line, in that of chance; and stamps over which its phase is followed.
-_COARSE, _BINS, _LINE, _FOLLOWED = 0.15, 1 << 20, 50.0, 512
+_COARSE, _BINS, _LINE, _FOLLOWED, _SLACK = 0.15, 1 << 20, 50.0, 512, 1e-3
 # Deviations from an even grid are bounded if means over this many parts scatter less than single stamps do,
 # by this factor; a walk of the stamps would grow by more. The fewest stamps from which this can be told, and
 # the least deviation of a quarter of them, in intervals.
@@ -149,8 +149,10 @@ class Stamps:
         power = abs(np.fft.rfft(np.bincount(numbers) - len(numbers) / size)) ** 2
         mean = len(numbers) / (size * self.step)
         rates = np.arange(mean, mean / (1.0 - MOST_MISSING), 0.5 / (size * self.step))
-        if (np.diff(self.seconds) > 0.0).all():
-            rates = rates[rates < (1.0 + 0.5 / size) / self.step]
+        # Two samples are as many steps apart as the interval has, or one more.
+        least = int(np.diff(numbers).min())
+        turns = rates * self.step
+        rates = rates[(turns * least < 1.0 + _SLACK) & (turns * (least + 1) > 1.0 - _SLACK)]
         # Rates above half that of the steps are seen as others below it.
         turns = rates * self.step
         seen = np.rint(abs(turns - np.rint(turns)) * size).astype(int)
