@@ -19,7 +19,7 @@ from allanjax.record.validation import Source
 FIRST_LINES = 1000
 # Marks at the start of comments, and what else may be before the names in a line that is no row.
 _COMMENT_MARKS = ("#", "%", "//")
-_BEFORE_NAMES = re.compile(r"\s*(?:[#/;!*'>]+|%+\s|--+|REM\s)\s*")
+_BEFORE_NAMES = re.compile(r"^\s*(?:[#/;!*>]+|%+\s|--+|REM\s)\s*")
 # Excel's line that names the delimiter, and a line before the data that states the sample rate.
 _SEP = re.compile(r"\"?sep=(.)\"?\s*", re.IGNORECASE)
 _RATE = re.compile(
@@ -36,7 +36,7 @@ _COMMA_NUMBER = r"[+-]?\d+(?:,\d+)?(?:[eE][+-]?\d+)?"
 _DECIMAL_COMMA = re.compile(rf"\s*{_COMMA_NUMBER}(?:[\s;]+{_COMMA_NUMBER})*\s*;?\s*")
 # What varies from one message to the next: dates, clocks, words of bits, numbers, and missing ones.
 _TIME = (
-    r"(?<![\w.])(?:\d{4}[-/.]\d\d?[-/.]\d\d?(?:[T ]\d\d?:\d\d(?::\d\d(?:[.,]\d+)?)?(?:Z|[+-]\d\d:?\d\d)?)?"
+    r"(?<![\w.])(?:\d{1,4}(?:-\d\d?-|/\d\d?/|\.\d\d?\.)\d{1,4}(?:[T ]\d\d?:\d\d(?::\d\d(?:[.,]\d+)?)?(?:Z|[+-]\d\d:?\d\d)?)?"
     r"|\d\d?:\d\d:\d\d(?:[.,]\d+)?)"
 )
 _NUMBER = rf"(?<![\w.^])(?<![A-Za-z^]-){NUMBER}(?![\dx])|\b(?:nan|null|none|inf(?:inity)?)\b"
@@ -48,6 +48,8 @@ _SUM = re.compile(r"\*([\da-fA-F]{2}|[\da-fA-F]{8})\s*$")
 # A number beside anything but a delimiter: `x=0.1`, `[0.1`, `0.1 deg/s`.
 _EMBEDDED = re.compile(r"[\[({<=:>|]\s*[-+.\d]|[-+]?\.?\d.*[^\w.]|.*\d[.:]\d|\D*[:=]$")
 _SENSORS: dict[Sensor, str] = {"gyro": "gyros", "accel": "accelerometers"}
+# Marks at the start of messages with check sums, and of comments.
+_MARKS = tuple("$#%!@/")
 # A line that ends a table.
 _SECTION = re.compile(r"\s*(?:[\[<]/?[A-Za-z][\w .-]*[\]>]|\w*END\w*)\s*")
 # UNIX times in s, ms, µs and ns.
@@ -77,7 +79,10 @@ class Message:
         """Pattern of a message, whose groups are the cells."""
         cell = rf"\s*({_CELL.pattern})\s*"
         parts = {"\0": cell, "\1": r'[^"]*', " ": r"\s+"}
-        whole = "".join(parts.get(c, c if c.isalnum() else rf"\s*{re.escape(c)}\s*") for c in self.shape)
+        # Marks at the ends, as between the elements of a list, may be others.
+        inner = re.sub(r"^[^\w\0]+|[^\w\0]+$", "\2", self.shape)
+        parts["\2"] = r"\W*?"
+        whole = "".join(parts.get(c, c if c.isalnum() else rf"\s*{re.escape(c)}\s*") for c in inner)
         return re.compile(re.sub(r"(?:\\s\*)+", r"\\s*", whole))
 
     @property
@@ -87,7 +92,7 @@ class Message:
 
     def cells_of(self, text: str) -> tuple[str, ...] | None:
         """Cells of a message; none if it is damaged, None if the text is something else."""
-        match = self.pattern.fullmatch(_SUM.sub("", text).strip().rstrip(","))
+        match = self.pattern.fullmatch(_SUM.sub("", text).strip())
         if match and (not self.summed or _has_right_sum(text)):
             groups = match.groups()
             return tuple(groups[k] for k in self.cells)
@@ -99,11 +104,9 @@ class Message:
 
     def is_other(self, text: str) -> bool:
         """Whether a text is a whole message of another shape, or a comment."""
-        if not self.summed:
-            return _shape(text) in self.others
         is_ours = text.lstrip().startswith(self.opening)
-        is_comment = _is_comment(text) and not _SUM.search(text)
-        return is_comment or (not is_ours and text.startswith(self.opening[:1]) and _has_right_sum(text))
+        is_marked = self.summed and text.lstrip()[:1] in _MARKS
+        return not is_ours if is_marked else _shape(text) in self.others
 
 
 @dataclass(frozen=True)
@@ -182,7 +185,7 @@ class Grammar:
         """Whether a record is a row that is not damaged."""
         if self.message is not None:
             return bool(self.message.cells_of(text))
-        return len(trimmed(_split(text.split(self.comment)[0], self.delimiter))) == self.fields
+        return _fits(_split(text.split(self.comment)[0], self.delimiter), self.fields)
 
     def is_blank(self, text: str) -> bool:
         """Whether a record is empty; tabs alone are empty cells."""
@@ -192,7 +195,7 @@ class Grammar:
         """What a record is that is no row: a comment, names once more, the end, known, or strange."""
         if self.message is not None and self.message.is_other(text):
             return "known"
-        cells = trimmed(_split(_BEFORE_NAMES.sub("", text, count=1), self.delimiter))
+        cells = trimmed(_split(_BEFORE_NAMES.sub("", " ".join(text.split("\n"))), self.delimiter))
         bare = [split_unit(cell)[0] for cell in cells]
         if bare == [split_unit(label)[0] for label in self.labels or ()]:
             return "names"
@@ -204,7 +207,8 @@ class Grammar:
 
     def _plain_cells(self, text: str) -> list[str] | None:
         """Cells of a line; none if it is damaged, None if it is something else."""
-        cells = trimmed(_split(text.split(self.comment)[0], self.delimiter))
+        cells = _split(text.split(self.comment)[0], self.delimiter)
+        cells = cells[: self.fields] if _fits(cells, self.fields) else trimmed(cells)
         numbers = [k for k, cell in enumerate(cells) if _is_number(cell.replace(self.decimal, "."))]
         # A delimiter within quotes separates nothing.
         cells = [f'"{cell}"' if self.delimiter and self.delimiter in cell else cell for cell in cells]
@@ -212,9 +216,10 @@ class Grammar:
             return None
         if len(cells) == self.fields:
             return cells if {*numbers} & {*self.numeric} or not any(cells) else None
-        if 2 * len(numbers) < len(cells):
-            return None
-        return [*cells, *["nan"] * (self.fields - len(cells))] if len(cells) < self.fields else []
+        words = [k for k, cell in enumerate(cells) if cell and k not in numbers and k in self.numeric]
+        if len(cells) < self.fields:
+            return None if words else [*cells, *["nan"] * (self.fields - len(cells))]
+        return [] if len(numbers) > len(words) else None
 
 
 def names_axes(text: str) -> bool:
@@ -243,7 +248,8 @@ def grammar_of(lines: Sequence[str], file: str, source: Source) -> Grammar:
         rate, text = stated
         note = f"sample rate {rate:g} Hz from the line {text[:60]!r}"
         found = replace(found, rate=rate, notes=(*found.notes, note))
-    return _of_device(found, before, lines[found.start], file)
+    rows = found.records(head[found.start :])
+    return _of_device(found, before, next(rows)[1], file)
 
 
 def _stated_rate(text: str) -> tuple[float, str] | None:
@@ -300,7 +306,7 @@ def _plain(head: Sequence[tuple[int, str]]) -> Grammar | None:
     lines = []
     for number, text in head:
         delimiter = sep[1] if sep else _delimiter(text)
-        lines.append(_Line(number, text, delimiter, trimmed(_split(text, delimiter))))
+        lines.append(_Line(number, text, delimiter, _split(text, delimiter)))
     first = _first_row([line for line in lines if not _is_comment(line.text)])
     if first is None:
         return None
@@ -328,14 +334,20 @@ def _first_row(lines: Sequence[_Line]) -> _Line | None:
             names = trimmed(_split(before.text, line.delimiter))
             if any(map(_is_number, names)):
                 break
-            if len(names) == len(line.cells) and any(map(_is_axis, names)):
-                return line
-    rows = [line for line in lines if 0 < len(line.cells) <= 2 * line.numbers]
+            if _fits(line.cells, len(names)) and any(map(_is_axis, names)):
+                return line._replace(cells=line.cells[: len(names)])
+    rows = [line._replace(cells=trimmed(line.cells)) for line in lines]
+    rows = [line for line in rows if 0 < len(line.cells) <= 2 * line.numbers]
     sizes = Counter((line.delimiter, len(line.cells)) for line in rows)
     if not rows:
         return None
     usual = max(sizes, key=lambda size: sizes[size])
     return next(line for line in rows if (line.delimiter, len(line.cells)) == usual)
+
+
+def _fits(cells: Sequence[str], count: int) -> bool:
+    """Whether there are so many cells, apart from an empty one after a delimiter at the end of the line."""
+    return len(cells) == count or (len(cells) == count + 1 and not cells[-1])
 
 
 def _is_regular(found: Grammar, head: Sequence[tuple[int, str]]) -> bool:
@@ -348,7 +360,11 @@ def _is_regular(found: Grammar, head: Sequence[tuple[int, str]]) -> bool:
 def _with_header(bare: Grammar, before: Sequence[_Line], first: _Line) -> Grammar:
     """Return the grammar with the labels that lines before the first row have, in up to three lines."""
     plain = [line for line in before if not _is_comment(line.text)]
-    named = [(line.number, _labels(line.text, bare.delimiter, first.cells)) for line in plain]
+    named = []
+    for line in plain:
+        cells = _labels(line.text, bare.delimiter, first.cells)
+        stripped = _labels(_BEFORE_NAMES.sub("", line.text), bare.delimiter, first.cells)
+        named.append((line.number, stripped if len(stripped) == bare.fields else cells))
     fitting = [(number, cells) for number, cells in named if len(cells) == bare.fields]
     header = next((x for x in fitting if any(map(_is_axis, x[1]))), None)
     if header is None and fitting:
@@ -370,7 +386,7 @@ def _with_header(bare: Grammar, before: Sequence[_Line], first: _Line) -> Gramma
     for line in reversed(before):
         if _is_comment(line.text):
             # The % of `%time`, as ROS writes it, is part of the name.
-            labels = _labels(_BEFORE_NAMES.sub("", line.text, count=1), bare.delimiter, first.cells)
+            labels = _labels(_BEFORE_NAMES.sub("", line.text), bare.delimiter, first.cells)
             if len(labels) == bare.fields and any(recognise(x).role != "auxiliary" for x in labels):
                 return replace(bare, labels=tuple(labels))
     return replace(bare, notes=bare.notes + _skipped([line.text for line in plain]))
@@ -460,7 +476,8 @@ def _messages(head: Sequence[tuple[int, str]]) -> Grammar | None:
             found = _message(shape, examples, head[: examples[0][0]], mark)
             axes = sum(map(_is_axis, found.labels or ()))
             if best is None or axes > best[0]:
-                others = frozenset(x for x in shapes if x != shape and re.search(r"[^\W\d]", x))
+                usual = (x for x in shapes if shapes[x] > 2 and re.search(r"[^\W\d]", x))
+                others = frozenset(usual) - {shape}
                 assert found.message is not None
                 best = axes, replace(found, message=replace(found.message, others=others))
             if axes:
@@ -499,7 +516,7 @@ def _records(lines: Iterable[tuple[int, str]], mark: str | None) -> Iterator[tup
 
 def _shape(text: str) -> str:
     """Text with \\0 in place of what varies, and white space only between words."""
-    shape = re.sub(r"\s+", " ", _CELL.sub("\0", _SUM.sub("", text)).strip().rstrip(","))
+    shape = re.sub(r"\s+", " ", _CELL.sub("\0", _SUM.sub("", text)).strip())
     return _QUOTED.sub('"\1"', re.sub(r" ?([^\w ]) ?", r"\1", shape))
 
 
@@ -553,9 +570,9 @@ def _labels_of(text: str, before: Sequence[str]) -> list[str | None]:
             values[-1] = values[-1]._replace(unit=unit)
         words, own_unit = _words(piece)
         last = values[-1].words if values else ()
-        follows = bool(last) and not words and not re.search(r"\w", piece)
+        follows = last not in ((), _CLOCK) and not words and not re.search(r"\w", piece)
         if _IS_TIME.fullmatch(token) or (not words and _DATED.fullmatch(token)):
-            words, follows = ("time",), False
+            words, follows = _CLOCK, False
         elif len(last) > 1 and len(words) == 1 and words[0].lower() in _XYZ and last[-1].lower() in _XYZ:
             words, follows = (*last[:-1], *words), True
         values.append(_Value(words or (last if follows else ()), own_unit, follows))
@@ -570,14 +587,15 @@ def _labels_of(text: str, before: Sequence[str]) -> list[str | None]:
     return labels
 
 
-_XYZ = ("x", "y", "z")
+# The words of a date or a clock, and of the axes of a group.
+_CLOCK, _XYZ = ("time",), ("x", "y", "z")
 # Marks after names, and marks after values.
 _AFTER_NAME, _AFTER_VALUE = ":=({[", r"[,;|)}\]>\n]"
 
 
 def _unit_before(piece: str) -> tuple[str, str]:
     """Split text after a number into its unit, if it begins with one, and the rest."""
-    match = re.match(r"\s*([^\s,;|:=\[\](){}\"']+)(?!\s*[:=])", piece)
+    match = re.match(r"[ \t]*([^\s,;|:=\[\](){}\"']+)(?=$|[\s,;|)\]}])(?!\s*[:=])", piece)
     return (match[1], piece[match.end() :]) if match and is_unit(match[1]) else ("", piece)
 
 
@@ -630,8 +648,9 @@ def _with_units(names: Sequence[str | None], values: Sequence[_Value]) -> list[s
 def _names_before(count: int, delimiter: str | None, before: Sequence[str]) -> list[str]:
     """Return the names of the last numbers of a message in a line before the messages; none if there is none."""
     for text in reversed(before):
-        cells = trimmed(_split(_SUM.sub("", _BEFORE_NAMES.sub("", text, count=1)), delimiter))[-count:]
-        cells[0] = cells[0].split()[-1] if cells[0].split() else ""
+        cells = trimmed(_split(_SUM.sub("", _BEFORE_NAMES.sub("", text)), delimiter))[-count:]
+        if recognise(cells[0]).role == "auxiliary":
+            cells[0] = cells[0].split()[-1] if cells[0] else ""
         if any(map(_is_axis, cells)):
             return cells
     return []
