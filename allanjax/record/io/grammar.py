@@ -11,7 +11,7 @@ from dataclasses import dataclass, field, replace
 from importlib.resources import files
 from typing import Any, NamedTuple
 
-from allanjax.record.columns import recognise, split_unit
+from allanjax.record.columns import by_unit, recognise, split_unit
 from allanjax.record.units import NUMBER, SENSORS, Sensor, is_unit
 from allanjax.record.validation import Source
 
@@ -42,11 +42,13 @@ _TIME = (
 _NUMBER = rf"(?<![\w.^])(?<![A-Za-z^]-){NUMBER}(?![\dx])|\b(?:nan|null|none|inf(?:inity)?)\b"
 _CELL = re.compile(rf"(?i:{_TIME}|\b(?=\d*[a-f])[\da-f]{{8}}\b|{_NUMBER})")
 _IS_TIME = re.compile(_TIME)
+# Marks at the ends of messages that may differ, as those of the elements of a list.
+_ENDS = r"[\s\[\](){},;]*"
 # Text of a value in quotes; the check sum at the end of a message, as many hexadecimal digits as it has.
 _QUOTED = re.compile(r'"[^"\0]*"(?=[,}\]])')
 _SUM = re.compile(r"\*([\da-fA-F]{2}|[\da-fA-F]{8})\s*$")
 # A number beside anything but a delimiter: `x=0.1`, `[0.1`, `0.1 deg/s`.
-_EMBEDDED = re.compile(r"[\[({<=:>|]\s*[-+.\d]|[-+]?\.?\d.*[^\w.]|.*\d[.:]\d|\D*[:=]$")
+_EMBEDDED = re.compile(r".*[\[({<=>|]\s*[-+]?\.?\d|:\s*[-+.\d]|[-+]?\.?\d.*[^\w.]|.*\d[.:]\d|\D*[:=]$")
 _SENSORS: dict[Sensor, str] = {"gyro": "gyros", "accel": "accelerometers"}
 # Marks at the start of messages with check sums, and of comments.
 _MARKS = tuple("$#%!@/")
@@ -79,11 +81,8 @@ class Message:
         """Pattern of a message, whose groups are the cells."""
         cell = rf"\s*({_CELL.pattern})\s*"
         parts = {"\0": cell, "\1": r'[^"]*', " ": r"\s+"}
-        # Marks at the ends, as between the elements of a list, may be others.
-        inner = re.sub(r"^[^\w\0]+|[^\w\0]+$", "\2", self.shape)
-        parts["\2"] = r"\W*?"
-        whole = "".join(parts.get(c, c if c.isalnum() else rf"\s*{re.escape(c)}\s*") for c in inner)
-        return re.compile(re.sub(r"(?:\\s\*)+", r"\\s*", whole))
+        whole = "".join(parts.get(c, c if c.isalnum() else rf"\s*{re.escape(c)}\s*") for c in self.shape)
+        return re.compile(re.sub(r"(?:\\s\*)+", r"\\s*", rf"{_ENDS}{whole}{_ENDS}"))
 
     @property
     def opening(self) -> str:
@@ -295,7 +294,7 @@ def _plain(head: Sequence[tuple[int, str]]) -> Grammar | None:
     # Numbers with decimal commas are separated by semicolons, tabs or spaces.
     with_commas = [
         "," in text
-        and _DECIMAL_COMMA.fullmatch(text) is not None
+        and _DECIMAL_COMMA.fullmatch(text.replace('"', "")) is not None
         and (_delimiter(text) != "," or re.search(r"\d\s+[+-]?\d", text) is not None)
         for _, text in head
     ]
@@ -334,7 +333,10 @@ def _first_row(lines: Sequence[_Line]) -> _Line | None:
             names = trimmed(_split(before.text, line.delimiter))
             if any(map(_is_number, names)):
                 break
-            if _fits(line.cells, len(names)) and any(map(_is_axis, names)):
+            # Names at the end may be without cells.
+            is_steady = all(len(x.cells) == len(line.cells) for x in lines[k : k + 3])
+            fits = _fits(line.cells, len(names)) or (len(line.cells) < len(names) and is_steady)
+            if fits and any(map(_is_axis, names)):
                 return line._replace(cells=line.cells[: len(names)])
     rows = [line._replace(cells=trimmed(line.cells)) for line in lines]
     rows = [line for line in rows if 0 < len(line.cells) <= 2 * line.numbers]
@@ -366,12 +368,13 @@ def _with_header(bare: Grammar, before: Sequence[_Line], first: _Line) -> Gramma
         stripped = _labels(_BEFORE_NAMES.sub("", line.text), bare.delimiter, first.cells)
         named.append((line.number, stripped if len(stripped) == bare.fields else cells))
     fitting = [(number, cells) for number, cells in named if len(cells) == bare.fields]
-    header = next((x for x in fitting if any(map(_is_axis, x[1]))), None)
+    header = next((x for x in fitting if "" not in x[1] and any(map(_is_axis, x[1]))), None)
     if header is None and fitting:
         # Names may be in two lines: the sensor, and the axis below.
         tail = fitting[-_LINES_OF_UNITS:]
-        sensors = list(itertools.accumulate(tail[0][1], lambda last, cell: cell or last))
-        rest = [cells for _, cells in tail[1:]]
+        sensors, *rest = [cells for _, cells in tail]
+        if rest:
+            sensors = list(itertools.accumulate(sensors, lambda last, cell: cell or last))
         joined = [" ".join(filter(None, cells)) for cells in zip(sensors, *_without_units(rest), strict=True)]
         header = (tail[0][0], joined) if any(map(_is_axis, joined)) else fitting[0]
     if header is not None:
@@ -393,12 +396,13 @@ def _with_header(bare: Grammar, before: Sequence[_Line], first: _Line) -> Gramma
 
 
 def _units(lines: Iterable[Sequence[str]]) -> list[str]:
-    """Return the units of the columns, if one of these lines below the header has any."""
+    """Return the units of the columns, blank where these lines below the header have none."""
+    units: list[str] = []
     for cells in lines:
-        units = [re.sub(r"^[\[(](.*)[\])]$", r"\1", cell) for cell in cells]
-        if any(map(is_unit, units)):
-            return units
-    return []
+        bare = [re.sub(r"^[\[(](.*)[\])]$", r"\1", cell) for cell in cells]
+        own = (cell if is_unit(cell) else "" for cell in bare)
+        units = [one or other for one, other in itertools.zip_longest(own, units, fillvalue="")]
+    return units if any(units) else []
 
 
 def _without_units(lines: Sequence[Sequence[str]]) -> list[list[str]]:
@@ -416,7 +420,9 @@ def _skipped(lines: Sequence[str]) -> tuple[str, ...]:
 def _labels(text: str, delimiter: str | None, cells: Sequence[str]) -> list[str]:
     """Return the names in a header; they may have blanks if two or more separate as many as the cells."""
     aligned = re.split(r"\s{2,}", text.strip()) if delimiter is None else []
-    return aligned if len(aligned) == len(cells) else trimmed(_split(text, delimiter))
+    names = _split(text, delimiter)
+    fitting = (x for x in (aligned, names) if _fits(x, len(cells)) or any(map(_is_axis, x[: len(cells)])))
+    return next((x[: len(cells)] for x in fitting), trimmed(names))
 
 
 def _is_comment(text: str) -> bool:
@@ -453,7 +459,7 @@ def _is_number(text: str) -> bool:
 
 @functools.cache
 def _is_axis(label: str) -> bool:
-    return not _is_number(label) and recognise(label).role == "axis"
+    return not _is_number(label) and by_unit(recognise(label)).role == "axis"
 
 
 # --- A line, or a group of lines, is a message ---------------------------------------------------------------
@@ -470,9 +476,11 @@ def _messages(head: Sequence[tuple[int, str]]) -> Grammar | None:
         shapes = Counter(_shape(text) for _, text in records)
         for shape, count in shapes.most_common(10):
             is_rare = count < 3 or (mark is not None and count < _JOINED * len(records))
-            if is_rare or "\0" not in shape or not re.search(r"[^\W\d]|[^\s\0,;|]", shape):
-                continue
             examples = [(n, text) for n, text in records if _shape(text) == shape]
+            # Numbers and delimiters alone are no messages.
+            is_bare = not re.search(r"[^\s,;|]", _CELL.sub("", examples[0][1]))
+            if is_rare or is_bare or "\0" not in shape:
+                continue
             found = _message(shape, examples, head[: examples[0][0]], mark)
             axes = sum(map(_is_axis, found.labels or ()))
             if best is None or axes > best[0]:
@@ -516,8 +524,9 @@ def _records(lines: Iterable[tuple[int, str]], mark: str | None) -> Iterator[tup
 
 def _shape(text: str) -> str:
     """Text with \\0 in place of what varies, and white space only between words."""
-    shape = re.sub(r"\s+", " ", _CELL.sub("\0", _SUM.sub("", text)).strip())
-    return _QUOTED.sub('"\1"', re.sub(r" ?([^\w ]) ?", r"\1", shape))
+    shape = re.sub(r"\s+", " ", _CELL.sub("\0", _SUM.sub("", text)))
+    shape = _QUOTED.sub('"\1"', re.sub(r" ?([^\w ]) ?", r"\1", shape))
+    return re.sub(rf"^{_ENDS}|{_ENDS}$", "", shape)
 
 
 def _has_right_sum(text: str) -> bool:
@@ -579,12 +588,12 @@ def _labels_of(text: str, before: Sequence[str]) -> list[str | None]:
     unit, _ = _unit_before(pieces[-1])
     if unit:
         values[-1] = values[-1]._replace(unit=unit)
-    labels = _with_units([*_names_of(values)], values)
-    unnamed = len(list(itertools.takewhile(lambda label: label is None, reversed(labels))))
+    names = [*_names_of(values)]
+    unnamed = len(list(itertools.takewhile(lambda name: name is None, reversed(names))))
     if unnamed > 1:
-        names = _names_before(unnamed, _delimiter("".join(pieces[-unnamed:-1])), before)
-        labels[len(labels) - len(names) :] = names
-    return labels
+        header = _names_before(unnamed, _delimiter("".join(pieces[-unnamed:-1])), before)
+        names[len(names) - len(header) :] = header
+    return _with_units(names, values)
 
 
 # The words of a date or a clock, and of the axes of a group.
@@ -640,7 +649,7 @@ def _with_units(names: Sequence[str | None], values: Sequence[_Value]) -> list[s
         units[k - 1] = units[k - 1] or (units[k] if values[k].follows else "")
     labels: list[str | None] = []
     for name, unit in zip(names, units, strict=True):
-        label = f"{name} [{unit}]" if name and unit else name
+        label = f"{name} [{unit}]" if name and unit and not split_unit(name)[1] else name
         labels.append(f"{label} {len(labels) + 1}" if label in labels and label else label)
     return labels
 
@@ -648,7 +657,8 @@ def _with_units(names: Sequence[str | None], values: Sequence[_Value]) -> list[s
 def _names_before(count: int, delimiter: str | None, before: Sequence[str]) -> list[str]:
     """Return the names of the last numbers of a message in a line before the messages; none if there is none."""
     for text in reversed(before):
-        cells = trimmed(_split(_SUM.sub("", _BEFORE_NAMES.sub("", text)), delimiter))[-count:]
+        bare = re.sub(r"\*\w+\s*$", "", _BEFORE_NAMES.sub("", text))
+        cells = trimmed(_split(bare, delimiter))[-count:]
         if recognise(cells[0]).role == "auxiliary":
             cells[0] = cells[0].split()[-1] if cells[0] else ""
         if any(map(_is_axis, cells)):

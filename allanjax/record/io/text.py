@@ -25,6 +25,8 @@ _SAVE_AGAIN = "copy, save or compress it again"
 _BLOCK = 1 << 22
 # Zero bytes that a loss of power leaves in text.
 _ZEROS = re.compile(rb"\0{16,}|\0+$")
+# Exponent of a number as Fortran writes it.
+_FORTRAN = re.compile(rb"(\d\.?)[Dd]([+-]\d\d)")
 # Lines that are no rows are left out up to this share of all, or up to so many; so many are quoted.
 _MOST_OTHERS, _FEW_OTHERS, _QUOTED = 0.01, 5, 3
 
@@ -114,10 +116,12 @@ def _pieces(path: Path, source: Source, notes: list[str]) -> Iterator[bytes]:
     first = next(raw, b"")
     encoding = _encoding(first[: 1 << 16], source)
     decoder = codecs.getincrementaldecoder(encoding)()
-    ends_with_return = b"\n" not in first and b"\r" in first
+    has_returns = b"\n" not in first and b"\r" in first
+    is_fortran = _FORTRAN.search(first[: 1 << 16]) is not None
     for piece in itertools.chain([first.removeprefix(codecs.BOM_UTF8)], raw):
         text = piece if encoding == "utf-8" else decoder.decode(piece).encode()
-        yield text.replace(b"\r", b"\n") if ends_with_return else text
+        text = text.replace(b"\r", b"\n") if has_returns else text
+        yield _FORTRAN.sub(rb"\1e\2", text) if is_fortran else text
 
 
 def _decompressed(path: Path, notes: list[str]) -> Iterator[bytes]:
