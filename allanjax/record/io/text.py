@@ -23,6 +23,7 @@ _GZIP_MAGIC = b"\x1f\x8b"
 _SAVE_AGAIN = "copy, save or compress it again"
 # Bytes that are parsed at a time.
 _BLOCK = 1 << 22
+_NEWLINE = ord("\n")
 # Zero bytes that a loss of power leaves in text.
 _ZEROS = re.compile(rb"\0{16,}|\0+$")
 # Exponent of a number as Fortran writes it.
@@ -143,7 +144,7 @@ def _blocks(pieces: Iterable[bytes], end: bytes, size: int = _BLOCK) -> Iterator
     """Yield blocks of at least so many bytes, each from after one `end` of a line or message to another."""
     rest = b""
     for piece in pieces:
-        rest += piece.replace(b"\r\n", b"\n")
+        rest += piece.replace(b"\r\n", b"\n") if b"\r" in piece else piece
         cut = rest.rfind(end) + 1
         if cut and len(rest) >= size:
             yield _Block(rest[:cut])
@@ -219,7 +220,7 @@ class _Reader:
         if columns is None:
             columns = tuple(np.zeros(0) for _ in range(grammar.fields))
         self._rows += len(columns[0])
-        self._lines += block.content.count(b"\n")
+        self._lines += np.count_nonzero(np.frombuffer(block.content, np.uint8) == _NEWLINE)
         strange = self._counts["strange"]
         if strange > _MOST_OTHERS * self._lines + _FEW_OTHERS:
             raise self._source.error(
@@ -268,9 +269,8 @@ class _Reader:
                 comment=grammar.comment if grammar.message is None else None,
                 skipinitialspace=True,
                 low_memory=False,
-                encoding_errors="replace",
             )
-        except (pd.errors.ParserError, pd.errors.EmptyDataError):
+        except (pd.errors.ParserError, pd.errors.EmptyDataError, UnicodeDecodeError):
             if as_it_is:
                 raise
             return None
