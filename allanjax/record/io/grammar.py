@@ -91,7 +91,9 @@ class Message:
 
     def cells_of(self, text: str) -> tuple[str, ...] | None:
         """Cells of a message; none if it is damaged, None if the text is something else."""
-        match = self.pattern.fullmatch(_SUM.sub("", text).strip())
+        # Of several lines, the first ones may be of something else.
+        matches = self.pattern.fullmatch if self.mark is None else self.pattern.search
+        match = matches(_SUM.sub("", text))
         if match and (not self.summed or _has_right_sum(text)):
             groups = match.groups()
             return tuple(groups[k] for k in self.cells)
@@ -421,8 +423,10 @@ def _labels(text: str, delimiter: str | None, cells: Sequence[str]) -> list[str]
     """Return the names in a header; they may have blanks if two or more separate as many as the cells."""
     aligned = re.split(r"\s{2,}", text.strip()) if delimiter is None else []
     names = _split(text, delimiter)
-    fitting = (x for x in (aligned, names) if _fits(x, len(cells)) or any(map(_is_axis, x[: len(cells)])))
-    return next((x[: len(cells)] for x in fitting), trimmed(names))
+    count = len(cells)
+    is_longer = len(names) > count and any(map(_is_axis, names[:count]))
+    fitting = (x for x in (aligned, names) if _fits(x, count) or (is_longer and x is names))
+    return next((x[:count] for x in fitting), trimmed(names))
 
 
 def _is_comment(text: str) -> bool:
@@ -558,6 +562,7 @@ def _message(
     message = Message(shape, cells, summed=all(sums), mark=mark)
     kind = f"messages such as {' '.join(text.split())[:60]!r}"
     notes = (*_skipped([line for _, line in before if line.strip()]), kind)
+    number = number if mark is None else 0
     return Grammar(number, len(cells), named, "\t", message=message, notes=notes)
 
 

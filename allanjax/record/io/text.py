@@ -137,6 +137,8 @@ def _decompressed(path: Path, notes: list[str]) -> Iterator[bytes]:
         try:
             yield from iter(functools.partial(stream.read1, _BLOCK), b"")
         except EOFError:
+            if not stream.tell():
+                raise
             notes.append("the compressed file is cut off; what comes before is read")
 
 
