@@ -222,12 +222,12 @@ class _Reader:
         if columns is None:
             columns = tuple(np.zeros(0) for _ in range(grammar.fields))
         self._rows += len(columns[0])
-        self._lines += np.count_nonzero(np.frombuffer(block.content, np.uint8) == _NEWLINE)
+        self._lines += int((np.frombuffer(block.content, np.uint8) == _NEWLINE).sum())
         strange = self._counts["strange"]
         if strange > _MOST_OTHERS * self._lines + _FEW_OTHERS:
             raise self._source.error(
-                f"{strange} of {self._lines} lines are not {grammar.expected}: {'; '.join(self._examples)}; to "
-                f"leave them out, run {grammar.filter(self._source.label)}"
+                f"{strange} of {self._lines} lines are no rows of {grammar.fields} numbers: "
+                f"{'; '.join(self._examples)}; to leave them out, run {grammar.filter(self._source.label)}"
             )
         return columns
 
@@ -255,7 +255,7 @@ class _Reader:
         return where if self._grammar.is_whole(text) else f"{where}, {text.strip()[:60]!r},"
 
     def _parsed(self, rows: bytes, start: int = 0, as_it_is: bool = False) -> Columns | None:
-        """Return the columns of lines that are rows; None if some seem not to be, unless they are known to."""
+        """Return the columns of lines that are rows; None if some seem to be none, unless all are known."""
         import pandas as pd
 
         grammar = self._grammar
@@ -297,10 +297,12 @@ class _Reader:
     def _judged(self, block: _Block) -> Iterator[str]:
         """Yield the rows of a block as lines of a table, and count what is none."""
         grammar = self._grammar
-        for number, text in self._records(block, self._lines):
+        records = list(self._records(block, self._lines))
+        for number, text in records:
             row = grammar.row(text)
             kind = "row" if row is not None else grammar.kind(text)
-            if block.may_be_cut and kind in ("row", "strange") and not grammar.is_whole(text):
+            is_last = block.may_be_cut and number == records[-1][0]
+            if is_last and kind in ("row", "strange") and not grammar.is_whole(text):
                 self.notes.append(f"the file ends within a line, which is left out: {text.strip()[:60]!r}")
                 return
             if kind in ("names", "end"):
