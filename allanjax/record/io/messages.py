@@ -272,7 +272,9 @@ def _names_of(values: Sequence[_Value]) -> Iterator[str | None]:
         for place in range(size):
             element = f"[{place}]" if size > 1 else ""
             known = _known(words, element) if size in (1, len(_XYZ)) else None
-            yield known or (" ".join(words) + element if words else None)
+            # A letter says little without what is before it.
+            short = words if words and len(words[-1]) == 1 else words[-1:]
+            yield known or (" ".join(short) + element if words else None)
         k += size
 
 

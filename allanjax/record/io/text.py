@@ -24,7 +24,8 @@ _SAVE_AGAIN = "copy, save or compress it again"
 # Bytes that are parsed at a time.
 _BLOCK = 1 << 22
 _NEWLINE = ord("\n")
-# Zero bytes that a loss of power leaves in text.
+# Zero bytes that a loss of power leaves in text, and the largest share of others.
+_MOST_ZEROS = 1e-3
 _ZEROS = re.compile(rb"\0{16,}|\0+$")
 # Exponent of a number as Fortran writes it.
 _FORTRAN = re.compile(rb"(\d\.?)[Dd]([+-]\d\d)")
@@ -51,8 +52,11 @@ def open_text(path: Path, source: Source) -> Table:
         return _blocks(_pieces(path, source, notes), end)
 
     with damage_reported(source, "text", _SAVE_AGAIN):
-        head = next(blocks(b"\n", []), _Block(b""))
-        grammar = grammar_of(head.texts()[:FIRST_LINES], path.name, source)
+        # A short file may be a block, and its last line another.
+        head = itertools.chain.from_iterable(
+            block.texts() for block in itertools.islice(blocks(b"\n", []), 2)
+        )
+        grammar = grammar_of([*itertools.islice(head, FIRST_LINES)], path.name, source)
         if grammar.labels is not None and not grammar.has_axes:
             grammar = _later(blocks(b"\n", []), grammar, path.name, source) or grammar
     reader = _Reader(grammar, source)
@@ -162,7 +166,7 @@ def _encoding(head: bytes, source: Source) -> str:
     """Return the encoding of text from its first bytes."""
     if head.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
         return "utf-16"
-    if b"\0" in _ZEROS.sub(b"", head):
+    if _ZEROS.sub(b"", head).count(b"\0") > _MOST_ZEROS * len(head):
         raise source.error(
             "neither text nor a known binary format; save it as CSV, Parquet, .npy, .npz, or MATLAB -v7"
         )
