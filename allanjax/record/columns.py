@@ -236,9 +236,10 @@ def axes_of(
         text = column.unit if given is None else given
         if text is None:
             example = "deg/s" if sensor == "gyro" else "m/s^2"
+            size = source.sizes.get(sensor, COUNT_SIZES[sensor])
             raise UnitError(
                 f"{source.label}: column {column.label!r} has no unit; pass {option}, for counts the size of "
-                f"one such as {COUNT_SIZES[sensor]}, or write it in the header: `{column.name} [{example}]`"
+                f"one such as {size}, or write it in the header: `{column.name} [{example}]`"
             )
         try:
             unit = parse_sample_unit(text, sensor)

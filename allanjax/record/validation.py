@@ -1,7 +1,7 @@
 """Checks for every recording, from a file or from an array."""
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -26,11 +26,13 @@ class Source:
         label: path of the file, or a name for an array.
         locate: place of a sample (counted from 0) in words, e.g. `line 17`.
         missing: possible causes of a NaN in such a source.
+        sizes: sizes of counts that messages propose, by sensor; by default usual ones.
     """
 
     label: str
     locate: Callable[[int], str] = lambda row: f"row {row} (counting from 0)"
     missing: str = "nan"
+    sizes: Mapping[Any, str] = field(default_factory=dict)
 
     def after(self, rows: int) -> "Source":
         """Return the source of the samples without the first `rows`."""

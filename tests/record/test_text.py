@@ -1,7 +1,8 @@
-"""Text: delimiters, headers, comments, encodings, the meaning of columns, and time stamps."""
+"""Text: delimiters, headers, comments, encodings, messages, devices, damage, columns, and time stamps."""
 
 import gzip
 import itertools
+import json
 
 import numpy as np
 import pandas as pd
@@ -47,6 +48,27 @@ LINES = {
     "quotes after spaces": lambda x: [", ".join(f'"{cell}"' for cell in line.split(",")) for line in x],
     "°": lambda x: [x[0].replace("deg/s", "°/s"), *x[1:]],
     "decimal commas": european,
+    "decimal commas in quotes": lambda x: [
+        ";".join(f'"{cell}"' for cell in line.split(";")) for line in european(x)[1:]
+    ],
+    "a bar": lambda x: [line.replace(",", " | ") for line in [x[0], "---+---+---+---+---+---", *x[1:]]],
+    "units below": lambda x: [",".join(SIX), ",".join(3 * ["(deg/s)"] + 3 * ["g"]), *x[1:]],
+    "sensors above axes": lambda x: [
+        "gyroscope,,,accelerometer,,",
+        "X,Y,Z,X,Y,Z",
+        ",".join(3 * ["deg/s"] + 3 * ["g"]),
+        *x[1:],
+    ],
+    "sections": lambda x: ["[Unit]", "Device=X9", "", "[Data]", *x, "[Events]", "0.25,button,1"],
+    "between marks": lambda x: ["DATA_START", *x, "DATA_END", "checksum 8a7b"],
+    "names beyond the cells": lambda x: [f"{x[0]},comment", *x[1:]],
+    "names again": lambda x: [*x[:30], x[0], *x[30:]],
+    "a logger that starts again": lambda x: [*x[:30], "Brownout detector was triggered", *x[30:]],
+    "another table above": lambda x: ["lat,lon", *9 * ["48.1,11.2"], "", *x],
+    "another table below": lambda x: [*x, "", "time,lat,lon", *30 * ["1.0,48.1,11.2"]],
+    "zeros of a loss of power": lambda x: [*x, "0.5,0.2" + 5000 * "\0"],
+    "names after any mark": lambda x: [f"; {x[0]}", *x[1:]],
+    "exponents of Fortran": lambda x: [x[0], *(line.replace("e-", "D-") for line in x[1:])],
 }
 
 
@@ -251,7 +273,8 @@ def test_vectornav(tmp_path, kind):
     scale, order = increments if kind == "VNDTV" else (1.0, slice(None))
     np.testing.assert_allclose(recording[SIX].values, NOISE.round(6)[:, order] * scale, rtol=1e-12)
     assert [x[0] for x in recording.auxiliary.values()] == [*before, *after]
-    assert noted(recording, f"{N} lines of ${kind}")
+    assert noted(recording, f"messages such as '${kind},")
+    assert noted(recording, f"format of ${kind}")
 
 
 def test_a_damaged_line_of_vectornav(tmp_path):
@@ -262,3 +285,233 @@ def test_a_damaged_line_of_vectornav(tmp_path):
         path.write_text("\n".join([*lines[:40], damaged, *lines[41:], ""]))
         refused(path, "line 41|start=", rate=40.0)
         assert aj.read(path, rate=40.0, stop=1.0).n == 40
+
+
+def xor(body):
+    return np.bitwise_xor.reduce(np.frombuffer(body.encode(), np.uint8))
+
+
+STAMP = "2024-05-01 10:22:33.123"
+
+
+def spelled(row, after=": ", mark=" ", units=("", "")):
+    names = zip(("gx", "gy", "gz", "ax", "ay", "az"), row, np.repeat(units, 3), strict=True)
+    return mark.join(f"{name}{after}{x!r}{unit}" for name, x, unit in names)
+
+
+def yaml(row, k, ends="---"):
+    parts = dict(zip(("angular_velocity", "linear_acceleration"), (row[:3], row[3:]), strict=True))
+    lines = ["header:", "  stamp:", f"    sec: {NS[k] // 10**9}", f"    nanosec: {NS[k] % 10**9}"]
+    lines += ["  frame_id: imu_link", "orientation:", *(f"  {x}: {float(x == 'w')}" for x in "xyzw")]
+    for name, values in ({"orientation": ()} | parts).items():
+        lines += [f"{name}:", *(f"  {a}: {x!r}" for a, x in zip("xyz", values, strict=False))]
+        lines += [f"{name}_covariance:", *9 * ["- 0.0"]]
+    return [*(x for x in lines if x != "orientation:" or lines.index(x) == 5), ends]
+
+
+def imu_csv(row, k):
+    return [
+        *divmod(int(NS[k]), 10**9),
+        "imu",
+        0,
+        0,
+        0,
+        1,
+        *9 * [0.0],
+        *row[:3],
+        *9 * [0.0],
+        *row[3:],
+        *9 * [0.0],
+    ]
+
+
+def listed(row, brackets="[]", mark=", "):
+    return brackets[0] + mark.join(map(repr, row)) + brackets[1]
+
+
+def joined(values):
+    return ",".join(map(repr, values))
+
+
+# What a line holds for a sample of three rates and three accelerations, and its number.
+MESSAGES = {
+    "colons": lambda x, k: spelled(x),
+    "equal signs and tabs": lambda x, k: spelled(x, after="=", mark="\t"),
+    "commas and units": lambda x, k: spelled(x, mark=", ", units=(" deg/s", " g")),
+    "clock and arrow": lambda x, k: f"10:22:{33 + k / 100:06.3f} -> {spelled(x)}",
+    "level": lambda x, k: f"[INFO] [{EPOCH + k / 100:.3f}]: {spelled(x, after='=')}",
+    "date": lambda x, k: f"{STAMP} INFO node - gyro={listed(x[:3], '()')} accel={listed(x[3:], '()')}",
+    "units in brackets": lambda x, k: f"gyro [dps]: {listed(x[:3])} acc [g]: {listed(x[3:])}",
+    "without marks": lambda x, k: (
+        f"{k / 100} gyro {listed(x[:3], mark=' ')} accel {listed(x[3:], mark='  ')}"
+    ),
+    "structures": lambda x, k: f"I {{ g: 1, {spelled(x, mark=', ')} }}",
+    "three after a name": lambda x, k: (
+        f"Gyro X: {x[0]}, Y: {x[1]}, Z: {x[2]} deg/s | Accel X: {x[3]}, Y: {x[4]}, Z: {x[5]} g"
+    ),
+    "JSON": lambda x, k: json.dumps({"t": k / 100, "state": "OK" * (k % 3), "gyro": x[:3], "acc": x[3:]}),
+    "flat JSON": lambda x, k: json.dumps({"time_ms": 10 * k, **dict(zip(SIX, x, strict=True))}),
+    "nested JSON": lambda x, k: json.dumps(
+        {"imu": {s: dict(zip("xyz", v, strict=True)) for s, v in (("gyro", x[:3]), ("accel", x[3:]))}}
+    ),
+    "JSON of lines": lambda x, k: json.dumps(dict(zip(SIX, x, strict=True)), indent=2),
+    "kinds": lambda x, k: [
+        f"IMU,{joined(x)}",
+        *([f"GPS,48.1,11.2,{k}"] if k % 5 == 2 else []),
+        *(["MAG 0.1 0.2"] if k % 7 == 1 else []),
+    ],
+    "lines of a sample": lambda x, k: [
+        f"Gyro X: {x[0]}, Y: {x[1]}, Z: {x[2]} deg/s",
+        f"Accel X: {x[3]}, Y: {x[4]}, Z: {x[5]} g",
+        "",
+    ],
+    "sums": lambda x, k: f"$IMU,{joined(x)}*{xor(f'IMU,{joined(x)}'):02X}",
+    "ros2 topic echo": yaml,
+    "ros2 topic echo --csv": lambda x, k: joined(imu_csv(x, k)).replace("'", ""),
+    "without a header": lambda x, k: joined(imu_csv(x, k)[3:]),
+}
+
+
+@pytest.mark.parametrize("how", MESSAGES)
+def test_messages(tmp_path, how):
+    """A header tells the names that messages lack; a boot message before them is skipped."""
+    lines = ["# IMU,gx,gy,gz,ax,ay,az", "rst:0x1 (POWERON_RESET),boot:0x13"]
+    for k, row in enumerate(NOISE.tolist()):
+        made = MESSAGES[how](row, k)
+        lines += [made] if isinstance(made, str) else made
+    for end in ("\n", "\r\n"):
+        (tmp_path / "imu.txt").write_text(end.join([*lines, ""]), newline="")
+        check(aj.read(tmp_path / "imu.txt", rate=RATE, time=False, **UNITS))
+        parts = aj.read_chunks(tmp_path / "imu.txt", rate=RATE, time=False, chunk=20, **UNITS)
+        np.testing.assert_allclose(np.concatenate([*parts]), SI, rtol=1e-14)
+
+
+def test_times_in_messages(tmp_path):
+    path = tmp_path / "imu.txt"
+    for how, begun in {
+        "level": EPOCH,
+        "JSON": None,
+        "flat JSON": None,
+        "ros2 topic echo": EPOCH,
+        "ros2 topic echo --csv": EPOCH,
+    }.items():
+        made = (MESSAGES[how](row, k) for k, row in enumerate(NOISE.tolist()))
+        path.write_text("\n".join(x if isinstance(x, str) else "\n".join(x) for x in made) + "\n")
+        recording = aj.read(path, **UNITS)
+        check(recording, close=1e-6)
+        assert recording.begun == (begun and pytest.approx(begun, abs=1e-6))
+
+
+def test_a_damaged_message_is_a_missing_sample(tmp_path):
+    """A gap, if the messages have times; lines of a wrong sum count as damaged."""
+    path = tmp_path / "imu.txt"
+    timed = [f"t={k / 100} {spelled(row)}" for k, row in enumerate(NOISE.tolist())]
+    summed = [MESSAGES["sums"](row, k) for k, row in enumerate(NOISE.tolist())]
+    path.write_text("\n".join([*timed[:20], timed[20][:60], *timed[21:], ""]))
+    refused(path, "0.02 s|line 22", **UNITS)
+    recording = aj.read(path, gaps="fill", **UNITS)
+    kept = np.arange(N) != 20
+    assert noted(recording, "1 lines", "line 21", "t=0.2 ")
+    np.testing.assert_allclose(recording.own_values[kept], NOISE[kept], rtol=1e-14)
+    path.write_text(
+        "\n".join(["# gx,gy,gz,ax,ay,az", *summed[:20], summed[20].replace("0.", "1.", 1), *summed[21:], ""])
+    )
+    refused(path, "line 22, '$IMU,|gaps='fill'", rate=RATE, **UNITS)
+
+
+def test_too_many_other_lines_are_described_with_a_command(tmp_path):
+    path = tmp_path / "imu.csv"
+    torn = [line if k % 4 else line.replace(",", ";", 3) for k, line in enumerate(rows(NOISE))]
+    path.write_text("\n".join([",".join(HEADER), *torn, ""]))
+    refused(path, "11 of 50 lines are no rows of 6 numbers|line 6, |awk -F',' 'NF==6'", rate=RATE)
+    path.write_text("\n".join(["can0 123#DEADBEEF", *30 * ["can0 124#CAFEBABE"], ""]))
+    refused(path, "31 lines|line 16 is 'can0 124#CAFEBABE'|time [s],gyro_x [deg/s]", rate=RATE)
+
+
+def test_a_compressed_file_that_is_cut_off_is_read_up_to_there(tmp_path):
+    path, many = tmp_path / "imu.csv.gz", np.tile(NOISE, (200, 1))
+    content = gzip.compress("\n".join([",".join(HEADER), *rows(many)]).encode())
+    path.write_bytes(content[:-500])
+    recording = aj.read(path, rate=RATE)
+    assert 9_000 < recording.n < 10_000
+    np.testing.assert_allclose(recording.own_values, many[: recording.n], rtol=1e-14)
+    assert noted(recording, "cut off")
+    assert noted(recording, "ends within a line")
+
+
+# Names of a file, lines before its data, its columns for the rates [deg/s] and accelerations [g], and units.
+OF = {
+    "MT Manager": (
+        "mt.txt",
+        [
+            "// MT Manager version: 2019.2",
+            "PacketCounter\tSampleTimeFine\tAcc_X\tAcc_Y\tAcc_Z\tGyr_X\tGyr_Y\tGyr_Z",
+        ],
+        "\t",
+        (STEP, 100 * STEP, NOISE[:, 3:], NOISE[:, :3]),
+        (1.0, 1.0),
+    ),
+    "Movella DOT": (
+        "dot.csv",
+        ["DeviceTag:,X", "PacketCounter,SampleTimeFine,Acc_X,Acc_Y,Acc_Z,Gyr_X,Gyr_Y,Gyr_Z"],
+        ",",
+        (STEP, 10_000 * STEP, NOISE[:, 3:], NOISE[:, :3]),
+        (DEG, 1.0),
+    ),
+    "Kalibr": (
+        "imu0.csv",
+        ["timestamp,omega_x,omega_y,omega_z,alpha_x,alpha_y,alpha_z"],
+        ",",
+        (NS, NOISE),
+        (1.0, 1.0),
+    ),
+    "Sensor Logger": (
+        "Gyroscope.csv",
+        ["time,seconds_elapsed,z,y,x"],
+        ",",
+        (NS, STEP / RATE, NOISE[:, 2::-1]),
+        (1.0,),
+    ),
+    "Physics Toolbox": (
+        "a.csv",
+        ["time [s],gFx,gFy,gFz,wx,wy,wz"],
+        ",",
+        (STEP / RATE, NOISE[:, 3:], NOISE[:, :3]),
+        (1.0, G0),
+    ),
+}
+
+
+@pytest.mark.parametrize("device", OF)
+def test_units_of_devices(tmp_path, device):
+    file, before, mark, columns, scales = OF[device]
+    (tmp_path / file).write_text("\n".join([*before, *rows(*columns, mark=mark), ""]))
+    recording = aj.read(tmp_path / file)
+    assert (recording.rate, noted(recording, f"by the format of {device}") or noted(recording, device)) == (
+        pytest.approx(RATE),
+        True,
+    )
+    names = SIX[: 3 * len(scales)]
+    np.testing.assert_allclose(
+        recording[names].values, NOISE[:, : len(names)] * np.repeat(scales, 3), rtol=1e-14
+    )
+
+
+def test_counts_of_novatel(tmp_path):
+    """The scale factors depend on the inertial unit, which the file does not tell."""
+    path, counts = tmp_path / "imu.txt", np.round(1000 * NOISE).astype(int)
+    lines = []
+    for k, (x, y, z, u, v, w) in enumerate(counts.tolist()):
+        time = 345_600 + k / RATE
+        body = ",".join(map(str, (w, -v, u, z, -y, x)))
+        lines.append(
+            f"%RAWIMUSA,2105,{time:.3f};2105,{time:.9f},{77 + 2**31 * (k % 2):08x},{body}*{k * 77:08x}"
+        )
+    path.write_text("\n".join([*lines, ""]))
+    error = refused(path, "'m/s/4194304' of a STIM300|accel_unit=", aj.UnitError)
+    assert "NovAtel" in str(error)
+    recording = aj.read(path, gyro_unit="deg/2097152", accel_unit="m/s/4194304")
+    assert recording.rate == pytest.approx(RATE)
+    signs = [1, -1, 1]
+    scale = RATE * np.array([*3 * [DEG / 2**21], *3 * [2.0**-22]])
+    np.testing.assert_allclose(recording[SIX].values, counts * scale * [*signs, *signs], rtol=1e-9)

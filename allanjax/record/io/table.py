@@ -2,7 +2,7 @@
 
 import re
 import sys
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from importlib import import_module
@@ -37,7 +37,7 @@ class Table:
         source: origin of the columns.
         n: total number of rows, if the file states it.
         rate: sample rate in Hz that the file states, if any.
-        notes: actions of the reader that users should know.
+        notes: actions of the reader that users should know; complete when all rows have been read.
         units: unit of each sensor as the format defines it, for use without a unit in labels or options.
         auxiliary: labels of columns that are no axes, whatever their names.
     """
@@ -47,7 +47,7 @@ class Table:
     source: Source
     n: int | None = None
     rate: float | None = None
-    notes: tuple[str, ...] = ()
+    notes: Sequence[str] = ()
     units: Mapping[Sensor, str] = field(default_factory=dict)
     auxiliary: frozenset[str] = frozenset()
 
@@ -181,7 +181,6 @@ def as_float(
         cell = values[bad[0]]
         comma = re.fullmatch(r"\s*[+-]?\d+,\d+\s*", str(cell))
         text = repr(cell) + (" (write numbers with a decimal point)" if comma else "")
-        text += ", a repeated header (delete that line)" if str(cell).strip() == label else ""
         raise bad_cells(label, bad.size, int(bad[0]), source, None if pd.isna(cell) else text)
     return numbers
 

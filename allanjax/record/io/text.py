@@ -1,147 +1,82 @@
-"""Readers for text files: columns with or without a header, and lines of VectorNav sensors."""
+"""Reader of text: lines of cells with or without a header, and messages of all kinds; see `grammar.py`."""
 
-import csv
+import codecs
 import functools
 import gzip
 import io
 import itertools
 import re
-import zlib
+from bisect import bisect_right
 from collections import Counter
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterable, Iterator
 from pathlib import Path
-from tempfile import TemporaryDirectory
-from typing import IO, TYPE_CHECKING
+from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Bool
 
-from allanjax.record.columns import recognise, split_unit
+from allanjax.record.io.grammar import FIRST_LINES, Grammar, grammar_of, names_axes
 from allanjax.record.io.table import Columns, Format, Table, damage_reported
-from allanjax.record.units import is_unit
 from allanjax.record.validation import Source
 
-if TYPE_CHECKING:
-    import pandas as pd
-
-# First bytes of a gzip-compressed file, and marks at the start of comments.
+# First bytes of a gzip-compressed file.
 _GZIP_MAGIC = b"\x1f\x8b"
-_COMMENT_MARKS = ("#", "%", "//")
 _SAVE_AGAIN = "copy, save or compress it again"
-# Excel's line that names the delimiter, and a line before the data that states the sample rate.
-_SEP = re.compile(r"\"?sep=(.)\"?\s*", re.IGNORECASE)
-_RATE = re.compile(
-    r"(?:(?:sampl\w*|update|output data)[\s_]*(?:rate|freq\w*)|\bodr)\W*(?:hz\W+)?"
-    r"(\d+(?:\.\d+)?)\s*(k?)(?:hz|sps)?\W*$",
-    re.IGNORECASE,
-)
-# Lines that are searched for the first row of numbers.
-_LINES_BEFORE_DATA = 1000
-# Lines between column names and data, one of which has units.
-_LINES_OF_UNITS = 3
-# Largest number of bytes in the last line.
-_LONGEST_LINE = 1 << 16
-# Lines of numbers with decimal commas, and possibly whole numbers.
-_COMMA_NUMBER = r"[+-]?\d+(?:,\d+)?(?:[eE][+-]?\d+)?"
-_DECIMAL_COMMA = re.compile(rf"\s*{_COMMA_NUMBER}(?:[\s;]+{_COMMA_NUMBER})*\s*;?\s*")
-# Fields of VectorNav's messages.
-_GYRO = tuple(f"gyro_{axis} [rad/s]" for axis in "xyz")
-_ACCEL = tuple(f"accel_{axis} [m/s²]" for axis in "xyz")
-_MAG = tuple(f"mag_{axis} [gauss]" for axis in "xyz")
-_ANGLES = tuple(f"{angle} [deg]" for angle in ("yaw", "pitch", "roll"))
-# Fields of messages with samples.
-_FIELDS = {
-    b"$VNYMR": (*_ANGLES, *_MAG, *_ACCEL, *_GYRO),
-    b"$VNQMR": (*(f"quaternion_{k}" for k in range(4)), *_MAG, *_ACCEL, *_GYRO),
-    b"$VNMAR": (*_MAG, *_ACCEL, *_GYRO),
-    b"$VNIMU": (*_MAG, *_ACCEL, *_GYRO, "temperature [degC]", "pressure [kPa]"),
-    b"$VNDTV": (
-        "interval [s]",
-        *(f"delta_theta_{axis} [deg]" for axis in "xyz"),
-        *(f"delta_vel_{axis} [m/s]" for axis in "xyz"),
-    ),
-    b"$VNGYR": _GYRO,
-    b"$VNACC": _ACCEL,
-}
-_VECTORNAV_LINE = re.compile(rb"(?:^|\n)\$VN[A-Z]{3},")
-# Fields of sensor_msgs/Imu as `ros2 topic echo --csv` prints them, without names.
-_ROS_IMU = (
-    *("header.stamp.sec", "header.stamp.nanosec", "header.frame_id"),
-    *(f"orientation.{part}" for part in "xyzw"),
-    *(f"orientation_covariance_{k}" for k in range(9)),
-    *(f"angular_velocity.{axis} [rad/s]" for axis in "xyz"),
-    *(f"angular_velocity_covariance_{k}" for k in range(9)),
-    *(f"linear_acceleration.{axis} [m/s²]" for axis in "xyz"),
-    *(f"linear_acceleration_covariance_{k}" for k in range(9)),
-)
-# Exclusive or of the bytes after the $, in two hexadecimal digits at the end of a line.
-_ENDED = re.compile(rb"\*([0-9A-Fa-f]{2})\s*$")
+# Bytes that are parsed at a time.
+_BLOCK = 1 << 22
+_NEWLINE = ord("\n")
+# Zero bytes that a loss of power leaves in text, and the largest share of others.
+_MOST_ZEROS = 1e-3
+_ZEROS = re.compile(rb"\0{16,}|\0+$")
+# Exponent of a number as Fortran writes it.
+_FORTRAN = re.compile(rb"(\d\.?)[Dd]([+-]\d\d)")
+# Lines that are no rows are left out up to this share of all, or up to so many; so many are quoted.
+_MOST_OTHERS, _FEW_OTHERS, _QUOTED = 0.01, 5, 3
 
 
-@dataclass(frozen=True)
-class _Layout:
-    """Layout of a text file; `start` is the index of the first line of data."""
+class _Block(NamedTuple):
+    """Whole lines or messages of a file, in UTF-8."""
 
-    start: int
-    labels: tuple[str, ...] | None
-    fields: int
-    delimiter: str | None
-    comment: str
-    encoding: str
-    compressed: bool
-    decimal: str = "."
-    rate: float | None = None
-    notes: tuple[str, ...] = ()
+    content: bytes
+    may_be_cut: bool = False
+
+    def texts(self) -> list[str]:
+        """Its lines."""
+        texts = self.content.decode(errors="replace").replace("\0", "").split("\n")
+        return [text.rstrip("\r") for text in (texts if texts[-1] else texts[:-1])]
 
 
 def open_text(path: Path, source: Source) -> Table:
     """Return the table of a text file, gzip-compressed or not."""
-    import pandas as pd
+
+    def blocks(end: bytes, notes: list[str]) -> Iterator[_Block]:
+        return _blocks(_pieces(path, source, notes), end)
 
     with damage_reported(source, "text", _SAVE_AGAIN):
-        layout = _layout(path, source)
-    # Samples are located by lines of the file.
-    source = Source(
-        source.label,
-        lambda row: f"line {next(itertools.islice(_rows(path, layout), row, None))[0]}",
-        "nan, an empty cell, or a row cut short",
-    )
-
-    cut, notes = _cut_line(path, layout), layout.notes
-    if cut:
-        notes += (f"the file ends within a line, which is left out: {cut[:60]!r}",)
+        # A short file may be a block, and its last line another.
+        head = itertools.chain.from_iterable(
+            block.texts() for block in itertools.islice(blocks(b"\n", []), 2)
+        )
+        grammar = grammar_of([*itertools.islice(head, FIRST_LINES)], path.name, source)
+        if grammar.labels is not None and not grammar.has_axes:
+            grammar = _later(blocks(b"\n", []), grammar, path.name, source) or grammar
+    reader = _Reader(grammar, source)
 
     def rows(chunk: int) -> Iterator[Columns]:
+        reader.begin()
         with damage_reported(source, "text", _SAVE_AGAIN):
-            try:
-                frames = pd.read_csv(
-                    path,
-                    chunksize=chunk,
-                    sep=r"\s+" if layout.delimiter is None else layout.delimiter,
-                    header=None,
-                    skiprows=layout.start,
-                    decimal=layout.decimal,
-                    comment=layout.comment,
-                    skipinitialspace=True,
-                    low_memory=False,
-                    encoding=layout.encoding,
-                    encoding_errors="replace",
-                    compression="gzip" if layout.compressed else None,
-                )
-                with frames:
-                    held = next(frames, None)
-                    while held is not None:
-                        frame, held = held, next(frames, None)
-                        columns = _columns(frame, path, layout, source)
-                        if held is None and cut:
-                            columns = tuple(column[:-1] for column in columns)
-                        if len(columns[0]):
-                            yield columns
-            except pd.errors.ParserError as error:
-                raise source.error(_ragged_row(path, layout) or f"cannot be read: {error}") from error
+            for block in blocks(grammar.end, reader.notes):
+                columns = reader.columns(block)
+                for first in range(0, len(columns[0]), chunk):
+                    yield tuple(column[first : first + chunk] for column in columns)
+            reader.end()
 
-    return Table(rows, layout.labels, source, rate=layout.rate, notes=notes)
+    place = Source(
+        source.label,
+        lambda row: reader.locate(row, blocks(grammar.end, [])),
+        "nan, an empty cell, or a damaged row",
+        grammar.sizes,
+    )
+    return Table(rows, grammar.labels, place, None, grammar.rate, reader.notes, grammar.units)
 
 
 def growing_text(batches: Iterator[bytes], source: Source) -> Iterator[Table]:
@@ -150,170 +85,88 @@ def growing_text(batches: Iterator[bytes], source: Source) -> Iterator[Table]:
     The rows of a table come as long as batches do. Where reading ended at an error, the next table begins
     with the next batch.
     """
-    head = b""
-    with TemporaryDirectory() as folder:
-        path = Path(folder) / "lines.txt"
-
-        def table_of(lines: bytes) -> Table:
-            path.write_bytes(head + lines)
-            return open_text(path, source)
-
-        def rows(first: Columns, _: int) -> Iterator[Columns]:
-            yield first
-            for batch in batches:
-                yield table_of(batch).columns()
-
-        for batch in batches:
-            table = table_of(batch)
-            if not head:
-                head = b"".join(batch.splitlines(keepends=True)[: _layout(path, source).start])
-            # A line is counted from the start of its batch, which nobody can look up.
-            place = Source(source.label, missing="nan or an empty cell")
-            yield replace(table, rows=functools.partial(rows, table.columns()), source=place)
-
-
-def _cut_line(path: Path, layout: _Layout) -> str:
-    """Return the last line if the file ends within it, as when a logger is switched off, else ""."""
-    if layout.compressed or layout.encoding == "utf-16":
-        return ""
-    with path.open("rb") as stream:
-        stream.seek(max(stream.seek(0, io.SEEK_END) - _LONGEST_LINE, 0))
-        lines = stream.read().decode(layout.encoding, "replace").split("\n")
-    fields = _split(lines[-1], layout.delimiter)
-    short = len(lines) > layout.start + 1 and len(fields) < layout.fields
-    return lines[-1].strip() if short and not _is_comment(lines[-1]) else ""
-
-
-def _columns(frame: "pd.DataFrame", path: Path, layout: _Layout, source: Source) -> Columns:
-    """Return as many columns of a data frame as the layout has."""
-    columns = [frame[name].to_numpy() for name in frame.columns]
-    # A delimiter at the end of every line adds an empty column.
-    if len(columns) == layout.fields + 1 and frame[layout.fields].isna().all():
-        columns.pop()
-    if len(columns) != layout.fields:
-        raise source.error(_ragged_row(path, layout) or f"{len(columns)} columns for {layout.fields} names")
-    return tuple(columns)
-
-
-def _layout(path: Path, source: Source) -> _Layout:
-    """Return the layout of a file, from its first lines."""
-    compressed, encoding = _encoding(path, source)
-    lines = itertools.islice(_lines(path, compressed, encoding), _LINES_BEFORE_DATA)
-    head = [(number, line) for number, line in enumerate(lines) if not _is_blank(line)]
+    head = next(batches, b"")
     if not head:
-        raise source.error("the file is empty; give a file with one row of numbers per sample")
-    # Numbers with decimal commas are separated by semicolons, tabs or spaces.
-    with_commas = [
-        "," in line
-        and _DECIMAL_COMMA.fullmatch(line) is not None
-        and (_delimiter(line) != "," or re.search(r"\d\s+[+-]?\d", line) is not None)
-        for _, line in head
-    ]
-    decimal = "," if any(with_commas) else "."
-    head = [
-        (number, line.replace(",", ".") if commas else line)
-        for (number, line), commas in zip(head, with_commas, strict=True)
-    ]
-    sep = _SEP.fullmatch(head[0][1].rstrip("\r\n"))
-    head = head[1:] if sep else head
-    first = _first_row(head, sep and sep[1])
-    notes: tuple[str, ...] = ("numbers with decimal commas",) if decimal == "," else ()
-    if first is None:
-        looked = (head or [(0, "")])[-1][0] + 1
-        raise source.error(
-            f"no row of numbers in its first {f'{looked} lines' if looked > 1 else 'line'}; give a file with "
-            "one row of numbers per sample"
-        )
-    number, line = head[first]
-    delimiter = sep[1] if sep else _delimiter(line)
-    fields = _split(line, delimiter)
-    comment = "%" if any(line.lstrip().startswith("%") for _, line in head[:first]) else "#"
-    bare = _Layout(number, None, len(_trim(fields)), delimiter, comment, encoding, compressed, decimal)
-    found = _with_header(bare, head[:first], fields)
-    stated = [(text.strip(), match) for _, text in head[:first] if (match := _RATE.search(text.strip()))]
-    rate = None
-    for text, match in stated[:1]:
-        rate = float(match[1]) * (1e3 if match[2] else 1.0)
-        notes += (f"sample rate {rate:g} Hz from the line {text[:60]!r}",)
-    return replace(found, notes=found.notes + notes, rate=rate)
+        return
+    grammar = grammar_of(_Block(head).texts()[:FIRST_LINES], source.label, source)
+    reader = _Reader(grammar, source)
+    # Unlike generators, `map` and `filter` go on after an error.
+    every = map(reader.columns, _blocks(itertools.chain([head], batches), grammar.end, 0))
+    parts = filter(lambda columns: len(columns[0]), every)
+    # A line is counted from the start of its batch, which nobody can look up.
+    place = Source(source.label, missing="nan or an empty cell", sizes=grammar.sizes)
+    for part in parts:
+
+        def rows(_: int, first: Columns = part) -> Iterator[Columns]:
+            yield first
+            yield from parts
+
+        yield Table(rows, grammar.labels, place, None, grammar.rate, reader.notes, grammar.units)
 
 
-def _first_row(head: list[tuple[int, str]], sep: str | None) -> int | None:
-    """Return the index in `head` of the first row of data: after axis names, or else half numbers at least.
-
-    A line of units and other lines may be between the names and the data.
-    """
-    plain = [k for k, (_, line) in enumerate(head) if not _is_comment(line)]
-    for place, (before, k) in enumerate(itertools.pairwise(plain)):
-        delimiter = sep or _delimiter(head[k][1])
-        labels = _trim(_split(head[before][1], delimiter))
-        names_axes = any(not _is_number(label) and recognise(label).role == "axis" for label in labels)
-        if names_axes and _fits(_split(head[k][1], delimiter), len(labels)):
-            below = [_split(head[i][1], delimiter) for i in plain[place + 1 : place + 2 + _LINES_OF_UNITS]]
-            words = list(itertools.takewhile(lambda cells: not any(map(_is_number, cells)), below))
-            return plain[place + 1 + len(words)] if _units(words) and len(words) < len(below) else k
-    for k in plain:
-        fields = _split(head[k][1], sep or _delimiter(head[k][1]))
-        if 2 * sum(map(_is_number, fields)) >= len(fields):
-            return k
+def _later(blocks: Iterable[_Block], first: Grammar, file: str, source: Source) -> Grammar | None:
+    """Return the grammar of a table that begins after a first one without axes; None if there is none."""
+    lines = enumerate(itertools.chain.from_iterable(block.texts() for block in blocks))
+    for number, text in itertools.islice(lines, first.start, None):
+        if names_axes(text):
+            more = [line for _, line in itertools.islice(lines, FIRST_LINES)]
+            found = grammar_of([text, *more], file, source)
+            return found.after(number) if found.has_axes else None
     return None
 
 
-def _with_header(bare: _Layout, before: list[tuple[int, str]], fields: list[str]) -> _Layout:
-    """Return the layout with the header, which is searched before the first line with numbers."""
-    plain = [(number, line) for number, line in before if not _is_comment(line)]
-    comments = [line for _, line in before if _is_comment(line)]
-    headers = [(number, line, _labels(line, bare.delimiter, fields)) for number, line in plain]
-    named = [header for header in headers if any(recognise(label).role == "axis" for label in header[2])]
-    for number, _, labels in named or headers:
-        if _fits(fields, len(labels)):
-            # All lines after the header are data, except a line of units and what precedes it.
-            notes, start = _skipped([line for n, line in plain if n < number]), number + 1
-            if units := _units([cells for n, _, cells in headers if n > number]):
-                pairs = itertools.zip_longest(labels, units[: len(labels)], fillvalue="")
-                labels = [f"{x} [{unit}]" if unit and not split_unit(x)[1] else x for x, unit in pairs]
-                start = bare.start
-            return replace(bare, start=start, labels=tuple(labels), fields=len(labels), notes=notes)
-    for line in reversed(comments):
-        # The % of `%time`, as ROS writes it, is part of the name.
-        labels = _labels(re.sub(r"^\s*(?:[#/]+|%+\s)\s*", "", line), bare.delimiter, fields)
-        if _fits(fields, len(labels)) and any(recognise(label).role != "auxiliary" for label in labels):
-            return replace(bare, labels=tuple(labels), fields=len(labels))
-    notes = _skipped([line for _, line in plain])
-    if len(_trim(fields)) == len(_ROS_IMU) and not _is_number(fields[2]):
-        notes += ("columns of ROS 2's sensor_msgs/Imu, as `ros2 topic echo --csv` prints it",)
-        return replace(bare, labels=_ROS_IMU, notes=notes)
-    return replace(bare, notes=notes)
+def _pieces(path: Path, source: Source, notes: list[str]) -> Iterator[bytes]:
+    """Yield pieces of a file in UTF-8, decompressed, with \\n at the end of lines."""
+    raw = _decompressed(path, notes)
+    first = next(raw, b"")
+    encoding = _encoding(first[: 1 << 16], source)
+    decoder = codecs.getincrementaldecoder(encoding)()
+    has_returns = b"\n" not in first and b"\r" in first
+    is_fortran = _FORTRAN.search(first[: 1 << 16]) is not None
+    for piece in itertools.chain([first.removeprefix(codecs.BOM_UTF8)], raw):
+        text = piece if encoding == "utf-8" else decoder.decode(piece).encode()
+        text = text.replace(b"\r", b"\n") if has_returns else text
+        yield _FORTRAN.sub(rb"\1e\2", text) if is_fortran else text
 
 
-def _units(lines: list[list[str]]) -> list[str]:
-    """Return the units of the columns, if one of these lines below the header has any."""
-    for cells in lines:
-        units = [re.sub(r"^[\[(](.*)[\])]$", r"\1", cell) for cell in cells]
-        if any(map(is_unit, units)):
-            return units
-    return []
+def _decompressed(path: Path, notes: list[str]) -> Iterator[bytes]:
+    """Yield pieces of a file, of a compressed one up to where it is cut off, with a note."""
+    with path.open("rb") as file:
+        is_compressed = file.read(2) == _GZIP_MAGIC
+    if not is_compressed:
+        with path.open("rb") as stream:
+            yield from iter(functools.partial(stream.read, _BLOCK), b"")
+        return
+    with gzip.open(path) as stream:
+        try:
+            yield from iter(functools.partial(stream.read1, _BLOCK), b"")
+        except EOFError:
+            if not stream.tell():
+                raise
+            notes.append("the compressed file is cut off; what comes before is read")
 
 
-def _skipped(lines: list[str]) -> tuple[str, ...]:
-    """Return a note on skipped lines before the data, if any."""
-    if not lines:
-        return ()
-    return (f"{len(lines)} lines before the data are skipped, the first is {lines[0].strip()[:60]!r}",)
+def _blocks(pieces: Iterable[bytes], end: bytes, size: int = _BLOCK) -> Iterator[_Block]:
+    """Yield blocks of at least so many bytes, each from after one `end` of a line or message to another."""
+    rest = b""
+    for piece in pieces:
+        rest += piece.replace(b"\r\n", b"\n") if b"\r" in piece else piece
+        cut = rest.rfind(end) + 1
+        if cut and len(rest) >= size:
+            yield _Block(rest[:cut])
+            rest = rest[cut:]
+    cut = rest.rfind(end, 0, -1) + 1
+    if cut:
+        yield _Block(rest[:cut])
+    if rest[cut:]:
+        yield _Block(rest[cut:], may_be_cut=end != b"\n" or not rest.endswith(b"\n"))
 
 
-def _encoding(path: Path, source: Source) -> tuple[bool, str]:
-    """Return whether a file is gzip-compressed, and its encoding."""
-    with path.open("rb") as stream:
-        compressed = stream.read(2) == _GZIP_MAGIC
-    try:
-        with _opened(path, compressed) as stream:
-            head = stream.read(1 << 16)
-    except (EOFError, OSError, zlib.error) as error:
-        raise source.error(f"cannot be read: {error}; copy or compress it again") from error
-    if head.startswith((b"\xff\xfe", b"\xfe\xff")):
-        return compressed, "utf-16"
-    if b"\0" in head:
+def _encoding(head: bytes, source: Source) -> str:
+    """Return the encoding of text from its first bytes."""
+    if head.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
+        return "utf-16"
+    if _ZEROS.sub(b"", head).count(b"\0") > _MOST_ZEROS * len(head):
         raise source.error(
             "neither text nor a known binary format; save it as CSV, Parquet, .npy, .npz, or MATLAB -v7"
         )
@@ -321,146 +174,155 @@ def _encoding(path: Path, source: Source) -> tuple[bool, str]:
         # The last bytes may be half a character.
         head[:-4].decode("utf-8")
     except UnicodeDecodeError:
-        return compressed, "latin-1"
-    return compressed, "utf-8-sig"
+        return "latin-1"
+    return "utf-8"
 
 
-def _opened(path: Path, compressed: bool) -> IO[bytes]:
-    """Return the decompressed bytes of a file."""
-    return gzip.open(path) if compressed else path.open("rb")  # type: ignore[return-value]
+class _Place(NamedTuple):
+    """What was read before a block: rows and lines; and whether its lines were judged one by one."""
+
+    rows: int
+    lines: int
+    one_by_one: bool
 
 
-def _lines(path: Path, compressed: bool, encoding: str) -> Iterator[str]:
-    """Yield the lines of a file."""
-    with io.TextIOWrapper(_opened(path, compressed), encoding, errors="replace") as stream:
-        yield from stream
+class _Reader:
+    """Reads block after block by a grammar, and knows where each row is in the file.
 
+    Attributes:
+        notes: what users should know; complete when all blocks have been read.
+    """
 
-def _rows(path: Path, layout: _Layout) -> Iterator[tuple[int, str]]:
-    """Yield line number (from 1) and text of each row of data."""
-    for number, line in enumerate(_lines(path, layout.compressed, layout.encoding), start=1):
-        if number > layout.start and not _is_blank(line) and not line.lstrip().startswith(layout.comment):
-            yield number, line
+    def __init__(self, grammar: Grammar, source: Source) -> None:
+        self.notes: list[str] = []
+        self._grammar, self._source = grammar, source
+        self.begin()
 
+    def begin(self) -> None:
+        """Begin at the first block."""
+        self.notes[:] = self._grammar.notes
+        self._places: list[_Place] = []
+        self._rows = self._lines = 0
+        # Records that are no rows, by kind; strange ones after the last row; and the first strange ones.
+        self._counts: Counter[str] = Counter()
+        self._trailing = 0
+        self._examples: list[str] = []
+        self._is_in_table = True
 
-def _ragged_row(path: Path, layout: _Layout) -> str | None:
-    """Return an error message on the first row with another number of columns, or None."""
-    for number, line in _rows(path, layout):
-        fields = _split(line.split(layout.comment)[0], layout.delimiter)
-        if not _fits(fields, layout.fields):
-            return (
-                f"line {number} has {len(fields)} columns where {layout.fields} are expected: "
-                f"{line.strip()[:60]!r}; repair or delete that line"
+    def columns(self, block: _Block) -> Columns:
+        """Return the columns of the rows in the next block.
+
+        Raises:
+            RecordingError: too many lines are no rows; the message has examples and a remedy.
+        """
+        grammar = self._grammar
+        columns = None
+        if grammar.message is None and self._is_in_table and not block.may_be_cut:
+            columns = self._parsed(block.content, max(grammar.start - self._lines, 0))
+        self._places.append(_Place(self._rows, self._lines, columns is None))
+        if columns is None:
+            rows = "\n".join(self._judged(block))
+            columns = self._parsed(rows.encode() + b"\n", as_it_is=True) if rows else None
+        if columns is None:
+            columns = tuple(np.zeros(0) for _ in range(grammar.fields))
+        self._rows += len(columns[0])
+        self._lines += int((np.frombuffer(block.content, np.uint8) == _NEWLINE).sum())
+        strange = self._counts["strange"]
+        if strange > _MOST_OTHERS * self._lines + _FEW_OTHERS:
+            raise self._source.error(
+                f"{strange} of {self._lines} lines are no rows of {grammar.fields} numbers: "
+                f"{'; '.join(self._examples)}; to leave them out, run {grammar.filter(self._source.label)}"
             )
-    return None
+        return columns
 
+    def end(self) -> None:
+        """Note what was left out."""
+        if again := self._counts["names"]:
+            self.notes.append(f"the line of names comes {again} times more, which are left out")
+        if known := self._counts["known"]:
+            self.notes.append(f"{known} lines of other messages or tables are left out")
+        if strange := self._counts["strange"] + self._trailing:
+            listed = "; ".join(self._examples)
+            self.notes.append(f"{strange} lines that are no rows are left out: {listed}")
 
-def _is_comment(line: str) -> bool:
-    """Return whether a line is a comment."""
-    return line.lstrip().startswith(_COMMENT_MARKS)
+    def locate(self, row: int, blocks: Iterable[_Block]) -> str:
+        """Return the place of a row in words, with its text if it is damaged."""
+        k = bisect_right([place.rows for place in self._places], row) - 1
+        place = self._places[k]
+        records = self._records(next(itertools.islice(blocks, k, None)), place.lines)
+        if place.one_by_one:
+            records = (x for x in records if self._grammar.row(x[1]) is not None)
+        else:
+            records = (x for x in records if not x[1].lstrip().startswith(self._grammar.comment))
+        number, text = next(itertools.islice(records, row - place.rows, None))
+        where = f"line {number + 1}"
+        return where if self._grammar.is_whole(text) else f"{where}, {text.strip()[:60]!r},"
 
+    def _parsed(self, rows: bytes, start: int = 0, as_it_is: bool = False) -> Columns | None:
+        """Return the columns of lines that are rows; None if some seem to be none, unless all are known."""
+        import pandas as pd
 
-def _is_blank(line: str) -> bool:
-    """Return whether a line is empty; tabs alone are empty cells."""
-    return not line.strip(" \r\n")
+        grammar = self._grammar
+        if b"\0" in rows:
+            return None
+        try:
+            frame = pd.read_csv(
+                io.BytesIO(rows),
+                sep=r"\s+" if grammar.delimiter is None else grammar.delimiter,
+                header=None,
+                skiprows=start,
+                decimal=grammar.decimal,
+                comment=grammar.comment if grammar.message is None else None,
+                skipinitialspace=True,
+                low_memory=False,
+            )
+        except (pd.errors.ParserError, pd.errors.EmptyDataError, UnicodeDecodeError):
+            if as_it_is:
+                raise
+            return None
+        columns = [frame[name].to_numpy() for name in frame.columns]
+        # A delimiter at the end of every line adds an empty column.
+        if len(columns) == grammar.fields + 1 and frame[grammar.fields].isna().all():
+            columns.pop()
+        if as_it_is:
+            return tuple(columns)
+        numeric = [columns[k] for k in grammar.numeric if k < len(columns)]
+        if len(columns) != grammar.fields or any(column.dtype.kind == "O" for column in numeric):
+            return None
+        # A line without any number, where columns of text may hide it.
+        is_hidden = len(numeric) < grammar.fields and np.isnan(numeric[-1].astype(float)).any()
+        return None if is_hidden and np.isnan(np.array(numeric, float)).all(axis=0).any() else tuple(columns)
 
+    def _records(self, block: _Block, lines: int) -> Iterator[tuple[int, str]]:
+        """Yield number and text of the records of a block that is behind so many lines, except blank ones."""
+        below = itertools.islice(enumerate(block.texts(), lines), max(self._grammar.start - lines, 0), None)
+        return (x for x in self._grammar.records(below) if not self._grammar.is_blank(x[1]))
 
-def _delimiter(line: str) -> str | None:
-    """Return the delimiter of a line; None for white space."""
-    return next((mark for mark in "\t;," if mark in line), None)
-
-
-def _split(line: str, delimiter: str | None) -> list[str]:
-    """Return the fields of a line."""
-    line = line.strip(" \r\n")
-    if delimiter is None:
-        # A unit belongs to the name before it and may contain spaces.
-        return re.split(r"\s+(?![\[(]|[^\[\](]*[\])])", line.strip())
-    fields = next(csv.reader([line], delimiter=delimiter, skipinitialspace=True), [])
-    return [field.strip() for field in fields]
-
-
-def _labels(line: str, delimiter: str | None, fields: list[str]) -> list[str]:
-    """Return the names in a header; they may have blanks if two or more separate as many as the fields."""
-    aligned = re.split(r"\s{2,}", line.strip()) if delimiter is None else []
-    return aligned if len(aligned) == len(fields) else _trim(_split(line, delimiter))
-
-
-def _trim(fields: list[str]) -> list[str]:
-    """Return the fields without an empty one after a delimiter at the end of the line."""
-    return fields[:-1] if len(fields) > 1 and not fields[-1] else fields
-
-
-def _fits(fields: list[str], count: int) -> bool:
-    """Return whether there are `count` fields, apart from a delimiter at the end of the line."""
-    return len(fields) == count or (len(fields) == count + 1 and not fields[-1])
-
-
-def _is_number(text: str) -> bool:
-    """Return whether a field is a number."""
-    try:
-        float(text)
-    except ValueError:
-        return False
-    return True
+    def _judged(self, block: _Block) -> Iterator[str]:
+        """Yield the rows of a block as lines of a table, and count what is none."""
+        grammar = self._grammar
+        records = list(self._records(block, self._lines))
+        for number, text in records:
+            row = grammar.row(text)
+            kind = "row" if row is not None else grammar.kind(text)
+            is_last = block.may_be_cut and number == records[-1][0]
+            if is_last and kind in ("row", "strange") and not grammar.is_whole(text):
+                self.notes.append(f"the file ends within a line, which is left out: {text.strip()[:60]!r}")
+                return
+            if kind in ("names", "end"):
+                self._is_in_table = kind == "names"
+            if kind in ("row", "strange", "end") and not self._is_in_table:
+                kind = "known"
+            if kind == "strange":
+                self._trailing += 1
+                if len(self._examples) < _QUOTED:
+                    self._examples.append(f"line {number + 1}, {text.strip()[:60]!r}")
+            elif kind == "row" and row is not None:
+                self._counts["strange"] += self._trailing
+                self._trailing = 0
+                yield row
+            else:
+                self._counts[kind] += 1
 
 
 TEXT = Format("text", b"", open_text)
-
-
-def read_vectornav(path: Path, source: Source) -> Table:
-    """Return the lines of the most frequent message; a damaged line is a sample with nan."""
-    import pandas as pd
-
-    lines = path.read_bytes().split(b"\n")
-    count = Counter(line[:6] for line in lines if line.startswith(b"$VN"))
-    known = {kind: count[kind] for kind in _FIELDS if kind in count}
-    if not known:
-        there = ", ".join(sorted(kind.decode("latin-1") for kind in count))
-        wanted = ", ".join(kind.decode() for kind in _FIELDS)
-        raise source.error(f"no message with samples (only {there}); let the sensor write {wanted}")
-    kind = max(known, key=lambda kind: known[kind])
-    places = [k for k, line in enumerate(lines) if line.startswith(kind)]
-    # Lines between messages that are not messages are damaged ones.
-    torn = (
-        k
-        for k in range(places[0], places[-1])
-        if lines[k].strip() and not lines[k].startswith((b"$VN", b"#"))
-    )
-    places = sorted([*places, *torn])
-    rows = [lines[k] for k in places]
-    labels = _FIELDS[kind]
-    nothing = (len(labels) - 1) * b","
-    intact = _are_intact(rows, len(labels))
-    bodies = [
-        row[7:].partition(b"*")[0].strip() if good else nothing
-        for row, good in zip(rows, intact, strict=True)
-    ]
-    with damage_reported(source, "lines of numbers", "repair the lines, or save it as CSV"):
-        text = io.BytesIO(b"\n".join(bodies))
-        frame = pd.read_csv(text, header=None, encoding="latin-1", skip_blank_lines=False, low_memory=False)
-    notes = [f"{known[kind]} lines of {kind.decode()}"]
-    others = len(lines) - len(rows) - sum(not line.strip() for line in lines)
-    if others:
-        notes.append(f"{others} other lines are skipped")
-    source = Source(source.label, lambda row: f"line {places[row] + 1}", "a damaged line")
-    columns = tuple(frame[name].to_numpy() for name in frame.columns)
-    return Table.of(columns, labels, source, notes=tuple(notes))
-
-
-def _are_intact(rows: Sequence[bytes], fields: int) -> Bool[np.ndarray, " rows"]:
-    """Return whether each line has so many fields and, if it states a check sum, the right one."""
-    ends = [_ENDED.search(row) for row in rows]
-    intact = np.array([row.count(b",") == fields for row in rows], bool)
-    summed = [k for k, end in enumerate(ends) if end is not None and intact[k]]
-    if summed:
-        bodies = [rows[k][1:].partition(b"*")[0] for k in summed]
-        starts = np.cumsum([0, *map(len, bodies[:-1])])
-        sums = np.bitwise_xor.reduceat(np.frombuffer(b"".join(bodies), np.uint8), starts)
-        intact[summed] = [int(rows[k].rpartition(b"*")[2], 16) for k in summed] == sums
-    return intact
-
-
-VECTORNAV = Format(
-    "VectorNav", lambda magic: _VECTORNAV_LINE.search(magic) is not None, read_vectornav, in_chunks=False
-)

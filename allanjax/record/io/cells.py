@@ -1,0 +1,77 @@
+"""Cells of lines of text: how they are separated, and what they are."""
+
+import csv
+import functools
+import re
+
+from allanjax.record.columns import by_unit, recognise
+from allanjax.record.units import NUMBER
+
+# Dates and clocks; and with numbers, missing ones and words of bits, what varies from one line to the next.
+_DATE = r"\d{1,4}(?:-\d\d?-|/\d\d?/|\.\d\d?\.)\d{1,4}"
+_CLOCK = r"\d\d?:\d\d:\d\d(?:[.,]\d+)?"
+TIME = rf"(?<![\w.])(?:{_DATE}(?:[T ]{_CLOCK}(?:Z|[+-]\d\d:?\d\d)?)?|{_CLOCK})"
+_NUMBER = rf"(?<![\w.^])(?<![A-Za-z^]-){NUMBER}(?![\dx])|\b(?:nan|null|none|inf(?:inity)?)\b"
+VALUE = re.compile(rf"(?i:{TIME}|\b(?=\d*[a-f])[\da-f]{{8}}\b|{_NUMBER})")
+# A number beside anything but a delimiter: `x=0.1`, `[0.1`, `0.1 deg/s`; or a name before one.
+_DECORATED = re.compile(r".*[\[({<=>|]\s*[-+]?\.?\d|:\s*[-+.\d]|[-+]?\.?\d.*[^\w.]|.*\d[.:]\d|\D*[:=]$")
+# Marks at the start of comments.
+_COMMENT = ("#", "%", "//")
+_BEFORE_NAMES = re.compile(r"^\s*(?:[#/;!*>]+|%+\s|--+|REM\s)\s*")
+
+
+def is_comment(text: str) -> bool:
+    """Whether a line is a comment."""
+    return text.lstrip().startswith(_COMMENT)
+
+
+def without_mark(text: str) -> str:
+    """A line without a mark before its names; the % of `%time`, as ROS writes it, is part of the name."""
+    return _BEFORE_NAMES.sub("", text)
+
+
+def delimiter_of(text: str) -> str | None:
+    """Return the delimiter of a line; None for white space."""
+    return next((mark for mark in "\t;,|" if mark in text), None)
+
+
+def split(text: str, delimiter: str | None) -> list[str]:
+    """Return the cells of a line."""
+    if delimiter is None:
+        # A unit belongs to the name before it and may contain spaces.
+        return re.split(r"\s+(?![\[(]|[^\[\](]*[\])])", text.strip())
+    cells = next(csv.reader([text.strip(" \r\n")], delimiter=delimiter, skipinitialspace=True), [])
+    return [cell.strip() for cell in cells]
+
+
+def trimmed(cells: list[str]) -> list[str]:
+    """Return the cells without an empty one after a delimiter at the end of the line."""
+    return cells[:-1] if len(cells) > 1 and not cells[-1] else cells
+
+
+def fits(cells: list[str], count: int) -> bool:
+    """Whether there are so many cells, apart from an empty one after a delimiter at the end of the line."""
+    return len(cells) == count or (len(cells) == count + 1 and not cells[-1])
+
+
+def is_number(text: str) -> bool:
+    """Whether a cell is a number."""
+    try:
+        float(text)
+    except ValueError:
+        return False
+    return True
+
+
+def is_decorated(cell: str, delimiter: str | None) -> bool:
+    """Whether a cell is a number and something else, or, between blanks, a mark such as ->."""
+    if is_number(cell) or VALUE.fullmatch(cell):
+        return False
+    is_mark = delimiter is None and not any(map(str.isalnum, cell))
+    return is_mark or _DECORATED.match(cell) is not None
+
+
+@functools.cache
+def is_axis(label: str) -> bool:
+    """Whether a label is that of an axis, by its name or its unit."""
+    return not is_number(label) and by_unit(recognise(label)).role == "axis"

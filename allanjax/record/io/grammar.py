@@ -1,0 +1,386 @@
+"""The grammar of text: how its lines hold the cells of rows, as the first of them show it."""
+
+import functools
+import itertools
+import re
+import tomllib
+from collections import Counter
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from importlib.resources import files
+from typing import Any, NamedTuple
+
+from allanjax.record.columns import recognise, split_unit
+from allanjax.record.io.cells import (
+    delimiter_of,
+    fits,
+    is_axis,
+    is_comment,
+    is_decorated,
+    is_number,
+    split,
+    trimmed,
+    without_mark,
+)
+from allanjax.record.io.messages import Message, Numbered, messages_in, records_of
+from allanjax.record.units import SENSORS, Sensor, is_unit
+from allanjax.record.validation import Source
+
+#: Lines in which the grammar is looked for.
+FIRST_LINES = 1000
+# Excel's line that names the delimiter, and a line before the data that states the sample rate.
+_SEP = re.compile(r"\"?sep=(.)\"?\s*", re.IGNORECASE)
+_RATE = re.compile(
+    r"(?:(?:sampl\w*|update|output data)[\s_]*(?:rate|freq\w*)|\bodr)\W*(?:hz\W+)?"
+    r"(\d+(?:\.\d+)?)\s*(k?)(?:hz|sps)?\W*$",
+    re.IGNORECASE,
+)
+# A line that ends a table.
+_SECTION = re.compile(r"\s*(?:[\[<]/?[A-Za-z][\w .-]*[\]>]|\w*END\w*)\s*")
+# Lines of names and units; share of the first lines that are rows if each line is one.
+_HEADER_LINES, _REGULAR = 4, 0.99
+# Lines of numbers with decimal commas, and possibly whole numbers.
+_COMMA_NUMBER = r"[+-]?\d+(?:,\d+)?(?:[eE][+-]?\d+)?"
+_DECIMAL_COMMA = re.compile(rf"\s*{_COMMA_NUMBER}(?:[\s;]+{_COMMA_NUMBER})*\s*;?\s*")
+_SENSORS: dict[Sensor, str] = {"gyro": "gyros", "accel": "accelerometers"}
+
+
+@dataclass(frozen=True)
+class Grammar:
+    """How lines hold the cells of rows.
+
+    Attributes:
+        start: index of the first line of data.
+        fields: number of columns.
+        labels: their labels, or None.
+        delimiter: what separates cells; None for white space.
+        decimal: decimal mark.
+        comment: mark at the start of comments.
+        numeric: columns with numbers in the first row.
+        message: the shape of messages; None if a line is its cells.
+        rate: sample rate [Hz] stated before the data.
+        notes: what users should know.
+        units: unit of each sensor that a published format fixes.
+        sizes: sizes of counts, by sensor, that messages propose.
+    """
+
+    start: int
+    fields: int
+    labels: tuple[str, ...] | None = None
+    delimiter: str | None = None
+    decimal: str = "."
+    comment: str = "#"
+    numeric: tuple[int, ...] = ()
+    message: Message | None = None
+    rate: float | None = None
+    notes: tuple[str, ...] = ()
+    units: Mapping[Sensor, str] = field(default_factory=dict)
+    sizes: Mapping[Sensor, str] = field(default_factory=dict)
+
+    @property
+    def has_axes(self) -> bool:
+        """Whether an axis is among its labels."""
+        return any(map(is_axis, self.labels or ()))
+
+    @property
+    def end(self) -> bytes:
+        """What is between two records, up to the first byte of the second."""
+        mark = self.message.mark if self.message else None
+        return b"\n" if mark is None else b"\n" + (mark.encode() or b"\n")
+
+    def filter(self, path: str) -> str:
+        """A command that writes the rows alone."""
+        if self.message is not None:
+            word = max(re.findall(r"\w+", self.message.shape), key=len, default="")
+            return f"grep -aF '{word}' '{path}' > rows.txt"
+        mark = "" if self.delimiter is None else f" -F'{self.delimiter}'"
+        return f"awk{mark} 'NF=={self.fields}' '{path}' > rows.csv"
+
+    def after(self, lines: int) -> "Grammar":
+        """Return the grammar of a table that begins after so many lines."""
+        note = f"the table from line {lines + 1} on is read, as the first one has no axes"
+        return replace(self, start=self.start + lines, notes=(note, *self.notes))
+
+    def records(self, lines: Iterable[Numbered]) -> Iterator[Numbered]:
+        """Yield number and text of each record, which is a line or a message of several."""
+        return records_of(lines, self.message.mark if self.message else None)
+
+    def row(self, text: str) -> str | None:
+        """Cells of a record as a line of a table, nan where it is damaged; None if it is no row."""
+        cells = self._cells(text) if self.message is None else self.message.row(text)
+        # A damaged row is a sample that is missing, which stamps tell if there are any.
+        if cells is None or (not cells and any(recognise(x).role == "time" for x in self.labels or ())):
+            return None
+        return (self.delimiter or " ").join(cells or ["nan"] * self.fields)
+
+    def is_whole(self, text: str) -> bool:
+        """Whether a record is a row that is not damaged."""
+        if self.message is not None:
+            return bool(self.message.row(text))
+        return bool(self._cells(text)) and fits(split(self._bare(text), self.delimiter), self.fields)
+
+    def is_blank(self, text: str) -> bool:
+        """Whether a record is empty; tabs alone are empty cells."""
+        return not (text.strip(" \r") if self.delimiter == "\t" else text.strip())
+
+    def kind(self, text: str) -> str:
+        """What a record is that is no row: a comment, names once more, the end, known, or strange."""
+        if self.message is not None and self.message.is_other(text):
+            return "known"
+        cells = trimmed(split(without_mark(text.replace("\n", " ")), self.delimiter))
+        if [split_unit(cell)[0] for cell in cells] == [split_unit(label)[0] for label in self.labels or ()]:
+            return "names"
+        if is_comment(text) or not re.search(r"\w", text):
+            return "comment"
+        is_header = self.delimiter is not None and len(cells) > 1 and not any(map(is_number, cells))
+        has_names = is_header and any(recognise(cell).role != "auxiliary" for cell in cells)
+        return "end" if has_names or _SECTION.fullmatch(text) else "strange"
+
+    def _bare(self, text: str) -> str:
+        return text.partition(self.comment)[0]
+
+    def _cells(self, text: str) -> list[str] | None:
+        """Cells of a line; none if it is damaged, None if it is something else."""
+        if is_comment(text):
+            return None
+        cells = split(self._bare(text), self.delimiter)
+        cells = cells[: self.fields] if fits(cells, self.fields) else trimmed(cells)
+        numbers = {k for k, cell in enumerate(cells) if is_number(cell.replace(self.decimal, "."))}
+        words = [k for k, cell in enumerate(cells) if cell and k in self.numeric and k not in numbers]
+        # A delimiter within quotes separates nothing.
+        cells = [f'"{cell}"' if self.delimiter and self.delimiter in cell else cell for cell in cells]
+        missing = self.fields - len(cells)
+        if missing == 0:
+            return cells if numbers & {*self.numeric} or not any(cells) else None
+        if missing > 0:
+            return None if words else [*cells, *["nan"] * missing]
+        return [] if len(numbers) > len(words) else None
+
+
+def names_axes(text: str) -> bool:
+    """Whether a line has names of axes, and no numbers."""
+    cells = split(text, delimiter_of(text))
+    return len(cells) > 1 and not any(map(is_number, cells)) and any(map(is_axis, cells))
+
+
+def grammar_of(texts: Sequence[str], file: str, source: Source) -> Grammar:
+    """Return the grammar of a file from its first lines and its name.
+
+    Raises:
+        RecordingError: they have no row of numbers; the message says what they have.
+    """
+    head = [(number, text) for number, text in enumerate(texts[:FIRST_LINES])]
+    if not any(text.strip() for text in texts):
+        raise source.error("the file is empty; give a file with one row of numbers per sample")
+    found = _plain(head)
+    if found is None or not _is_regular(found, texts):
+        found = _of_messages(head) or found
+    if found is None:
+        raise source.error(_without_rows(head))
+    before = [text.strip() for text in texts[: found.start]]
+    for text in before:
+        if match := _RATE.search(text):
+            rate = float(match[1]) * (1e3 if match[2] else 1.0)
+            note = f"sample rate {rate:g} Hz from the line {text[:60]!r}"
+            found = replace(found, rate=rate, notes=(*found.notes, note))
+            break
+    _, row = next(found.records(head[found.start :]))
+    return _of_device(found, {"head": "\n".join(before), "row": row, "file": file})
+
+
+def _without_rows(head: Sequence[Numbered]) -> str:
+    """What the first lines have in place of rows of numbers."""
+    shown = [(number, text) for number, text in head if text.strip()]
+    number, text = shown[len(shown) // 2]
+    looked = f"{len(head)} lines" if len(head) > 1 else "line"
+    return (
+        f"no row of numbers in its first {looked}; line {number + 1} is {text.strip()[:80]!r}; write a line "
+        "of names, such as time [s],gyro_x [deg/s],accel_x [g], and below it a row of numbers per sample"
+    )
+
+
+def _of_messages(head: Sequence[Numbered]) -> Grammar | None:
+    """Return the grammar of messages; None if there are none."""
+    found = messages_in(head)
+    if found is None:
+        return None
+    kind = f"messages such as {' '.join(found.example.split())[:60]!r}"
+    notes = (*_skipped([text for _, text in head[: found.start] if text.strip()]), kind)
+    fields = len(found.message.cells)
+    return Grammar(found.start, fields, found.labels, "\t", message=found.message, notes=notes)
+
+
+class _Line(NamedTuple):
+    """A line before or of the data, split at its own delimiter."""
+
+    number: int
+    text: str
+    delimiter: str | None
+    cells: list[str]
+
+    @property
+    def numbers(self) -> int:
+        """How many of its cells are numbers; 0 if others have numbers within, beside something else."""
+        is_mixed = any(is_decorated(cell, self.delimiter) for cell in self.cells)
+        return 0 if is_mixed else sum(map(is_number, self.cells))
+
+
+def _plain(head: Sequence[Numbered]) -> Grammar | None:
+    """Return the grammar of lines that are their cells; None if there is no row among them."""
+    head = [(number, text) for number, text in head if text.strip(" ")]
+    has_commas = [_has_decimal_commas(text) for _, text in head]
+    sep = _SEP.fullmatch(head[0][1])
+    lines = []
+    for (number, text), commas in itertools.islice(zip(head, has_commas, strict=True), int(bool(sep)), None):
+        bare = text.replace(",", ".") if commas else text
+        delimiter = sep[1] if sep else delimiter_of(bare)
+        lines.append(_Line(number, bare, delimiter, split(bare, delimiter)))
+    first = _first_row([line for line in lines if not is_comment(line.text)])
+    if first is None:
+        return None
+    before = [line for line in lines if line.number < first.number]
+    is_percent = any(line.text.lstrip().startswith("%") for line in before)
+    found = Grammar(
+        first.number,
+        len(first.cells),
+        delimiter=first.delimiter,
+        decimal="," if any(has_commas) else ".",
+        comment="%" if is_percent else "#",
+        numeric=tuple(k for k, cell in enumerate(first.cells) if is_number(cell)),
+        notes=("numbers with decimal commas",) if any(has_commas) else (),
+    )
+    return _with_names(found, before)
+
+
+def _has_decimal_commas(text: str) -> bool:
+    """Whether a line is numbers with decimal commas, separated by semicolons, tabs or blanks."""
+    if "," not in text or not _DECIMAL_COMMA.fullmatch(text.replace('"', "")):
+        return False
+    return delimiter_of(text) != "," or re.search(r"\d\s+[+-]?\d", text) is not None
+
+
+def _first_row(lines: Sequence[_Line]) -> _Line | None:
+    """Return the first row: that below names of axes, or else of the most frequent size."""
+    for k, line in enumerate(lines):
+        above = reversed(lines[max(k - _HEADER_LINES, 0) : k]) if line.numbers else ()
+        for other in above:
+            names = trimmed(split(other.text, line.delimiter))
+            if any(map(is_number, names)):
+                break
+            # Names at the end may be without cells, if those of all rows are.
+            size = len(line.cells)
+            is_short = size < len(names) and all(len(x.cells) == size for x in lines[k : k + 3])
+            if any(map(is_axis, names)) and (fits(line.cells, len(names)) or is_short):
+                return line._replace(cells=line.cells[: len(names)])
+    lines = [line._replace(cells=trimmed(line.cells)) for line in lines]
+    rows = [line for line in lines if 0 < len(line.cells) <= 2 * line.numbers]
+    sizes = Counter((line.delimiter, len(line.cells)) for line in rows)
+    return max(rows, key=lambda line: sizes[line.delimiter, len(line.cells)], default=None)
+
+
+def _is_regular(found: Grammar, texts: Sequence[str]) -> bool:
+    """Whether nearly all lines of the data are rows."""
+    rows = [found.is_whole(x) for x in texts[found.start : FIRST_LINES] if x.strip() and not is_comment(x)]
+    return sum(rows) >= _REGULAR * len(rows)
+
+
+def _with_names(found: Grammar, before: Sequence[_Line]) -> Grammar:
+    """Return the grammar with the labels that lines before the first row have."""
+    plain = [line for line in before if not is_comment(line.text)]
+    named = [(line.number, _names(line.text, found)) for line in plain]
+    fitting = [(number, names) for number, names in named if len(names) == found.fields]
+    header = next((x for x in fitting if "" not in x[1] and any(map(is_axis, x[1]))), None)
+    if header is None and fitting:
+        number, names = fitting[0]
+        header = number, _joined([x for _, x in fitting[1 - _HEADER_LINES :]]) or names
+    if header is not None:
+        number, names = header
+        units = _units([cells for n, cells in named if n > number])
+        pairs = itertools.zip_longest(names, units[: len(names)], fillvalue="")
+        labels = tuple(f"{x} [{unit}]" if unit and not split_unit(x)[1] else x for x, unit in pairs)
+        notes = found.notes + _skipped([line.text for line in plain if line.number < number])
+        # Without units, all lines after the header are data.
+        return replace(found, start=found.start if units else number + 1, labels=labels, notes=notes)
+    for line in reversed(before):
+        names = _names(line.text, found)
+        has_names = len(names) == found.fields and any(recognise(x).role != "auxiliary" for x in names)
+        if is_comment(line.text) and has_names:
+            return replace(found, labels=tuple(names))
+    return replace(found, notes=found.notes + _skipped([line.text for line in plain]))
+
+
+def _names(text: str, found: Grammar) -> list[str]:
+    """Return the names in a line, if it has as many as there are columns, else its cells.
+
+    Names may have blanks if two or more separate them. A mark may be before them, and more names after them.
+    """
+    cells = split(text, found.delimiter)
+    bare = split(without_mark(text), found.delimiter)
+    aligned = re.split(r"\s{2,}", without_mark(text).strip()) if found.delimiter is None else []
+    for names in (cells, bare, aligned):
+        if fits(names, found.fields):
+            return names[: found.fields]
+    has_more = len(bare) > found.fields and any(map(is_axis, bare[: found.fields]))
+    return bare[: found.fields] if has_more else cells
+
+
+def _joined(lines: Sequence[Sequence[str]]) -> list[str]:
+    """Return names that are in two lines, the sensors and the axes below; none if they are not of axes."""
+    sensors, *below = map(list, lines)
+    for k, cell in enumerate(sensors):
+        sensors[k] = cell or (sensors[k - 1] if k and below else "")
+    words = [["" if is_unit(cell) else cell for cell in cells] for cells in below]
+    names = [" ".join(filter(None, cells)) for cells in zip(sensors, *words, strict=True)]
+    return names if any(map(is_axis, names)) else []
+
+
+def _units(lines: Iterable[Sequence[str]]) -> list[str]:
+    """Return the units of the columns, blank where these lines below the names have none."""
+    units: list[str] = []
+    for cells in lines:
+        bare = [re.sub(r"^[\[(](.*)[\])]$", r"\1", cell) for cell in cells]
+        own = (cell if is_unit(cell) else "" for cell in bare)
+        units = [one or other for one, other in itertools.zip_longest(own, units, fillvalue="")]
+    return units if any(units) else []
+
+
+def _skipped(lines: Sequence[str]) -> tuple[str, ...]:
+    """Return a note on skipped lines before the data, if any."""
+    if not lines:
+        return ()
+    return (f"{len(lines)} lines before the data are skipped, the first is {lines[0].strip()[:60]!r}",)
+
+
+@functools.cache
+def _devices() -> list[dict[str, Any]]:
+    text = files(__package__).joinpath("devices.toml").read_text(encoding="utf-8")
+    return tomllib.loads(text)["device"]
+
+
+def _of_device(found: Grammar, texts: Mapping[str, str]) -> Grammar:
+    """Return the grammar with what the published format of a device says, if the text is of one."""
+    texts = {**texts, "labels": ",".join(found.labels or ())}
+    for device in _devices():
+        columns = tuple(device.get("columns", ()))
+        matches = all(re.search(device[key], text) for key, text in texts.items() if key in device)
+        # Names in the file are better than columns by their number.
+        may_name = not columns or found.labels is None or found.message is not None
+        if not (matches and may_name and len(columns) <= found.fields == device.get("count", found.fields)):
+            continue
+        message = found.message
+        if message is not None and columns:
+            message = replace(message, cells=tuple(range(message.pattern.groups))[-len(columns) :])
+        rename = device.get("rename", {})
+        units = {sensor: device[sensor] for sensor in SENSORS if sensor in device}
+        said = ["columns"] if columns else []
+        said += [f"{_SENSORS[sensor]} in {unit}" for sensor, unit in units.items()]
+        return replace(
+            found,
+            fields=len(columns) or found.fields,
+            labels=tuple(rename.get(label, label) for label in columns or found.labels or ()) or None,
+            message=message,
+            notes=(*found.notes, f"{', '.join(said)} by the format of {device['name']}"),
+            units=units,
+            sizes=device.get("sizes", {}),
+        )
+    return found
