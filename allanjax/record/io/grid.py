@@ -30,6 +30,8 @@ _MANY_GAPS = 0.05
 _NEAR_WHOLE, _MOSTLY, _EARLY = 0.2, 0.95, 0.25
 # Deviations from an even grid, in intervals, below which no sample can be missing.
 _WITHIN = 0.5
+# Share of stamps that go back, below which the clock was set.
+_SET = 0.01
 # Fewest intervals unlike the usual one that show whether they come as regularly as by rounding.
 _SHOWING = 10
 # Resolution of stamps, in intervals, from which grids are sought by the line in the spectrum of the stamps;
@@ -412,6 +414,9 @@ class Stamps:
                 )
                 segments = f"read the longest part without ({len(longest)} samples) with gaps='segments' "
                 segments += "(--gaps segments); "
+                if len(back) < _SET * len(times):
+                    # A clock that was set a few times is otherwise right.
+                    why, uniform = "the clock was set", ""
         return (
             f"column {self.label!r} {what} at {self.source.locate(first)} ({np.sum(intervals <= 0.0)} in "
             f"total: {why}); {uniform}{segments}{IGNORE}"

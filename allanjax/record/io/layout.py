@@ -167,7 +167,7 @@ def _as_time(column: Column, values: Shaped[np.ndarray, " rows"], table: Table) 
 def _increases(values: Shaped[np.ndarray, " rows"]) -> bool:
     """Return whether values mostly increase from row to row, or stay, as in bursts."""
     steps = np.diff(values.astype(float))
-    return bool(np.sum(steps) > 0.0 and np.mean(steps >= 0.0) > _RISING)
+    return bool((steps > 0.0).any() and np.mean(steps >= 0.0) > _RISING)
 
 
 @functools.cache
