@@ -216,7 +216,9 @@ class Difference(NamedTuple):
             return ""
         if not self.differs:
             return "no"
-        return "larger" if self.ratio > 1.0 or self.interval[0] > 1.0 else "smaller"
+        # Of an amplitude and a limit, only an amplitude as numerator has a lower end.
+        is_larger = self.interval[0] > 0.0 if math.isnan(self.ratio) else self.ratio > 1.0
+        return "larger" if is_larger else "smaller"
 
     def cells(self) -> tuple[str, str, str, str]:
         """Ratio, interval, p-value and verdict of the printed table."""

@@ -118,6 +118,20 @@ def test_what_is_not_detected_is_compared_by_its_limit():
     assert found.interval == (0.0, pytest.approx(1e-7 / (1e-6 * math.exp(-1.96 * 0.02)), rel=1e-6))
 
 
+def test_what_is_detected_is_larger_than_what_is_not_even_if_its_lower_end_is_below_the_limit():
+    def fitted(seed, K):
+        rng = np.random.default_rng(seed)
+        x = rng.normal(0.0, 1e-2, 60_000) + K / 10.0 * np.cumsum(rng.normal(size=60_000))
+        return aj.fit(aj.Recording.from_array(x, 100.0, names=["gyro_x"], gyro_unit="rad/s"), "N + K")
+
+    without, with_walk = fitted(2, 0.0), fitted(32, 5e-5)
+    low, limit = with_walk["gyro_x"]["K"].interval[0], without["gyro_x"]["K"].upper_limit
+    assert low < limit
+    for pair, verdict in (((without, with_walk), "larger"), ((with_walk, without), "smaller")):
+        (row,) = (row for row in aj.compare(*pair).rows if row.label == "rate_random_walk")
+        assert row.differences[1].verdict == verdict
+
+
 def test_a_changed_sensor_is_found_and_its_repetition_is_not():
     def record(N: float, seed: int) -> aj.Recording:
         return aj.simulate_recording({"gyro_x": f"N={N} deg/√h"}, 16_384, 100.0, seed, name=f"{N}-{seed}")
