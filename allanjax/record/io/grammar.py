@@ -18,12 +18,13 @@ from allanjax.record.io.cells import (
     is_comment,
     is_decorated,
     is_number,
+    is_unit_name,
     split,
     trimmed,
     without_mark,
 )
 from allanjax.record.io.messages import Message, Numbered, messages_in, records_of
-from allanjax.record.units import SENSORS, Sensor, is_unit
+from allanjax.record.units import SENSORS, Sensor
 from allanjax.record.validation import Source
 
 #: Lines in which the grammar is looked for.
@@ -329,7 +330,7 @@ def _joined(lines: Sequence[Sequence[str]]) -> list[str]:
     sensors, *below = map(list, lines)
     for k, cell in enumerate(sensors):
         sensors[k] = cell or (sensors[k - 1] if k and below else "")
-    words = [["" if is_unit(cell) else cell for cell in cells] for cells in below]
+    words = [["" if is_unit_name(cell) else cell for cell in cells] for cells in below]
     names = [" ".join(filter(None, cells)) for cells in zip(sensors, *words, strict=True)]
     return names if any(map(is_axis, names)) else []
 
@@ -339,7 +340,7 @@ def _units(lines: Iterable[Sequence[str]]) -> list[str]:
     units: list[str] = []
     for cells in lines:
         bare = [re.sub(r"^[\[(](.*)[\])]$", r"\1", cell) for cell in cells]
-        own = (cell if is_unit(cell) else "" for cell in bare)
+        own = (cell if is_unit_name(cell) else "" for cell in bare)
         units = [one or other for one, other in itertools.zip_longest(own, units, fillvalue="")]
     return units if any(units) else []
 
