@@ -177,7 +177,7 @@ def grammar_of(texts: Sequence[str], file: str, source: Source) -> Grammar:
     if found is None or not _is_regular(found, texts):
         found = _of_messages(head) or found
     if found is None:
-        raise source.error(_without_rows(head))
+        raise source.error(_without_rows(head, source.label))
     before = [text.strip() for text in texts[: found.start]]
     for text in before:
         if match := _RATE.search(text):
@@ -189,15 +189,18 @@ def grammar_of(texts: Sequence[str], file: str, source: Source) -> Grammar:
     return _of_device(found, {"head": "\n".join(before), "row": row, "file": file})
 
 
-def _without_rows(head: Sequence[Numbered]) -> str:
+def _without_rows(head: Sequence[Numbered], path: str) -> str:
     """What the first lines have in place of rows of numbers."""
     shown = [(number, text) for number, text in head if text.strip()]
     number, text = shown[len(shown) // 2]
     looked = f"{len(head)} lines" if len(head) > 1 else "line"
-    return (
-        f"no row of numbers in its first {looked}; line {number + 1} is {text.strip()[:80]!r}; write a line "
-        "of names, such as time [s],gyro_x [deg/s],accel_x [g], and below it a row of numbers per sample"
+    remedy = (
+        "write a line of names, such as time [s],gyro_x [deg/s],accel_x [g], and below it a row of numbers "
+        "per sample"
     )
+    if re.match(r"\s*\[\s*\{", text):
+        remedy = f"write an object per line, with jq -c '.[]' '{path}' > imu.jsonl"
+    return f"no row of numbers in its first {looked}; line {number + 1} is {text.strip()[:80]!r}; {remedy}"
 
 
 def _of_messages(head: Sequence[Numbered]) -> Grammar | None:
