@@ -423,7 +423,9 @@ def test_too_many_other_lines_are_described_with_a_command(tmp_path):
     path = tmp_path / "imu.csv"
     torn = [line if k % 4 else line.replace(",", ";", 3) for k, line in enumerate(rows(NOISE))]
     path.write_text("\n".join([",".join(HEADER), *torn, ""]))
-    refused(path, "11 of 50 lines are no rows of 6 numbers|line 6, |awk -F',' 'NF==6'", rate=RATE)
+    refused(path, "12 of 50 lines are no rows of 6 numbers|line 2, |awk -F',' 'NF==6'", rate=RATE)
+    path.write_text(json.dumps([dict(zip(SIX, row, strict=True)) for row in NOISE.tolist()]))
+    refused(path, f"first line; line 1 is|jq -c '.[]' '{path}'", rate=RATE)
     path.write_text("\n".join(["can0 123#DEADBEEF", *30 * ["can0 124#CAFEBABE"], ""]))
     refused(path, "31 lines|line 16 is 'can0 124#CAFEBABE'|time [s],gyro_x [deg/s]", rate=RATE)
 
@@ -472,12 +474,12 @@ OF = {
         (NS, STEP / RATE, NOISE[:, 2::-1]),
         (1.0,),
     ),
-    "Physics Toolbox": (
+    "OpenLog": (
         "a.csv",
-        ["time [s],gFx,gFy,gFz,wx,wy,wz"],
+        ["rtcDate,time [s],aX,aY,aZ,gX,gY,gZ,mX,mY,mZ,imu_degC,output_Hz"],
         ",",
-        (STEP / RATE, NOISE[:, 3:], NOISE[:, :3]),
-        (1.0, G0),
+        (np.zeros(N), STEP / RATE, NOISE[:, 3:], NOISE[:, :3], np.ones((N, 5))),
+        (DEG, 1e-3 * G0),
     ),
 }
 

@@ -5,7 +5,7 @@ import functools
 import re
 
 from allanjax.record.columns import by_unit, recognise
-from allanjax.record.units import NUMBER
+from allanjax.record.units import NUMBER, is_unit
 
 # Dates and clocks; and with numbers, missing ones and words of bits, what varies from one line to the next.
 _DATE = r"\d{1,4}(?:-\d\d?-|/\d\d?/|\.\d\d?\.)\d{1,4}"
@@ -61,6 +61,11 @@ def is_number(text: str) -> bool:
     except ValueError:
         return False
     return True
+
+
+def is_unit_name(text: str) -> bool:
+    """Whether a text is a unit, and not a number."""
+    return is_unit(text) and not is_number(text)
 
 
 def is_decorated(cell: str, delimiter: str | None) -> bool:

@@ -18,12 +18,13 @@ from allanjax.record.io.cells import (
     is_comment,
     is_decorated,
     is_number,
+    is_unit_name,
     split,
     trimmed,
     without_mark,
 )
 from allanjax.record.io.messages import Message, Numbered, messages_in, records_of
-from allanjax.record.units import SENSORS, Sensor, is_unit
+from allanjax.record.units import SENSORS, Sensor
 from allanjax.record.validation import Source
 
 #: Lines in which the grammar is looked for.
@@ -176,7 +177,7 @@ def grammar_of(texts: Sequence[str], file: str, source: Source) -> Grammar:
     if found is None or not _is_regular(found, texts):
         found = _of_messages(head) or found
     if found is None:
-        raise source.error(_without_rows(head))
+        raise source.error(_without_rows(head, source.label))
     before = [text.strip() for text in texts[: found.start]]
     for text in before:
         if match := _RATE.search(text):
@@ -188,15 +189,18 @@ def grammar_of(texts: Sequence[str], file: str, source: Source) -> Grammar:
     return _of_device(found, {"head": "\n".join(before), "row": row, "file": file})
 
 
-def _without_rows(head: Sequence[Numbered]) -> str:
+def _without_rows(head: Sequence[Numbered], path: str) -> str:
     """What the first lines have in place of rows of numbers."""
     shown = [(number, text) for number, text in head if text.strip()]
     number, text = shown[len(shown) // 2]
     looked = f"{len(head)} lines" if len(head) > 1 else "line"
-    return (
-        f"no row of numbers in its first {looked}; line {number + 1} is {text.strip()[:80]!r}; write a line "
-        "of names, such as time [s],gyro_x [deg/s],accel_x [g], and below it a row of numbers per sample"
+    remedy = (
+        "write a line of names, such as time [s],gyro_x [deg/s],accel_x [g], and below it a row of numbers "
+        "per sample"
     )
+    if re.match(r"\s*\[\s*\{", text):
+        remedy = f"write an object per line, with jq -c '.[]' '{path}' > imu.jsonl"
+    return f"no row of numbers in its first {looked}; line {number + 1} is {text.strip()[:80]!r}; {remedy}"
 
 
 def _of_messages(head: Sequence[Numbered]) -> Grammar | None:
@@ -329,7 +333,7 @@ def _joined(lines: Sequence[Sequence[str]]) -> list[str]:
     sensors, *below = map(list, lines)
     for k, cell in enumerate(sensors):
         sensors[k] = cell or (sensors[k - 1] if k and below else "")
-    words = [["" if is_unit(cell) else cell for cell in cells] for cells in below]
+    words = [["" if is_unit_name(cell) else cell for cell in cells] for cells in below]
     names = [" ".join(filter(None, cells)) for cells in zip(sensors, *words, strict=True)]
     return names if any(map(is_axis, names)) else []
 
@@ -339,7 +343,7 @@ def _units(lines: Iterable[Sequence[str]]) -> list[str]:
     units: list[str] = []
     for cells in lines:
         bare = [re.sub(r"^[\[(](.*)[\])]$", r"\1", cell) for cell in cells]
-        own = (cell if is_unit(cell) else "" for cell in bare)
+        own = (cell if is_unit_name(cell) else "" for cell in bare)
         units = [one or other for one, other in itertools.zip_longest(own, units, fillvalue="")]
     return units if any(units) else []
 

@@ -12,6 +12,8 @@ from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
+import numpy as np
+
 from allanjax.record.columns import recognise, split_unit
 from allanjax.record.io.cells import (
     TIME,
@@ -19,11 +21,11 @@ from allanjax.record.io.cells import (
     delimiter_of,
     is_axis,
     is_number,
+    is_unit_name,
     split,
     trimmed,
     without_mark,
 )
-from allanjax.record.units import is_unit
 
 #: A line, or lines of a message, with the number of the first one from 0.
 Numbered = tuple[int, str]
@@ -33,6 +35,8 @@ _DATED = re.compile(rf"1\d{{9}}(?:\.\d+|(?:\d{{3}}){{0,3}})|{TIME}")
 # Marks at the ends of messages that may differ, as those of the elements of a list; and text in quotes.
 _ENDS = r"[\s\[\](){},;]*"
 _QUOTED = re.compile(r'"[^"\0]*"(?=[,}\]])')
+# Roughly a number, a missing one or a word of bits, which is matched faster.
+_ROUGHLY = r"[-+]?\.?\d[-+.\w]*|(?i:nan|null|none|inf\w*|[\da-f]{8})"
 # A check sum, in hexadecimal digits, and marks at the start of messages that have one, or of comments.
 _SUM, _MARKS = re.compile(r"\*([\da-fA-F]{2}|[\da-fA-F]{8})\s*$"), tuple("$#%!@/")
 # Marks after names, and marks after values.
@@ -65,7 +69,7 @@ class Message:
     @functools.cached_property
     def pattern(self) -> re.Pattern[str]:
         """Pattern of a message, whose groups are the numbers."""
-        cell = rf"\s*({VALUE.pattern})\s*"
+        cell = rf"\s*({_ROUGHLY}|{TIME})\s*"
         parts = {"\0": cell, "\1": r'[^"]*', " ": r"\s+"}
         whole = "".join(parts.get(c, c if c.isalnum() else rf"\s*{re.escape(c)}\s*") for c in self.shape)
         return re.compile(re.sub(r"(?:\\s\*)+", r"\\s*", rf"{_ENDS}{whole}{_ENDS}"))
@@ -175,7 +179,7 @@ def _has_right_sum(text: str) -> bool:
     if end is None or len(end[1]) != 2:
         return end is not None
     body = text.strip()[1:].rpartition("*")[0].encode()
-    return functools.reduce(int.__xor__, body, 0) == int(end[1], 16)
+    return np.bitwise_xor.reduce(np.frombuffer(body, np.uint8)) == int(end[1], 16)
 
 
 def _found(shape: str, examples: Sequence[Numbered], before: Sequence[str], mark: str | None) -> Found | None:
@@ -235,12 +239,12 @@ def _labels_of(text: str, before: Sequence[str]) -> list[str | None]:
 def _unit_before(piece: str) -> tuple[str, str]:
     """Split text after a number into its unit, if it begins with one, and the rest."""
     match = re.match(r"[ \t]*([^\s,;|:=\[\](){}\"']+)(?=$|[\s,;|)\]}])(?!\s*[:=])", piece)
-    return (match[1], piece[match.end() :]) if match and is_unit(match[1]) else ("", piece)
+    return (match[1], piece[match.end() :]) if match and is_unit_name(match[1]) else ("", piece)
 
 
 def _words(piece: str) -> tuple[tuple[str, ...], str]:
     """Return the words of the name before a number, from the outermost, and the unit in brackets if any."""
-    unit = next(filter(is_unit, re.findall(r"[\[(]([^\[\]()]*)[\])]", piece)), "")
+    unit = next(filter(is_unit_name, re.findall(r"[\[(]([^\[\]()]*)[\])]", piece)), "")
     if unit:
         piece = re.sub(rf"[\[(]{re.escape(unit)}[\])]", "", piece)
     piece = re.sub(r"[\"']", "", _QUOTED.sub("?", piece))

@@ -24,6 +24,8 @@ _SAVE_AGAIN = "copy, save or compress it again"
 # Bytes that are parsed at a time.
 _BLOCK = 1 << 22
 _NEWLINE = ord("\n")
+# Characters with which lines of numbers begin.
+_OF_NUMBERS = tuple("0123456789+-.")
 # Zero bytes that a loss of power leaves in text, and the largest share of others.
 _MOST_ZEROS = 1e-3
 _ZEROS = re.compile(rb"\0{16,}|\0+$")
@@ -108,7 +110,8 @@ def _later(blocks: Iterable[_Block], first: Grammar, file: str, source: Source) 
     """Return the grammar of a table that begins after a first one without axes; None if there is none."""
     lines = enumerate(itertools.chain.from_iterable(block.texts() for block in blocks))
     for number, text in itertools.islice(lines, first.start, None):
-        if names_axes(text):
+        # Most lines are rows.
+        if text[:1] not in _OF_NUMBERS and names_axes(text):
             more = [line for _, line in itertools.islice(lines, FIRST_LINES)]
             found = grammar_of([text, *more], file, source)
             return found.after(number) if found.has_axes else None
