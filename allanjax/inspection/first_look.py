@@ -252,7 +252,8 @@ def look(
     squares, time = mean_squares(part), 2.0 ** np.arange(len(part.power)) / rate
     known = np.isfinite(squares).any(axis=(1, 2)) & (time <= max(1.0, time[0]))
     white = np.sqrt(np.nanmean(squares[known], axis=1) / 2.0 * time[known, None])
-    facts = implausible(axes, rate, mean, white, auxiliary, about, vibrating)
+    given = {} if recording is None else recording.given
+    facts = implausible(axes, rate, mean, white, auxiliary, about, vibrating, given)
     if as_is:
         facts = [dataclasses.replace(fact, consequence="none") for fact in facts]
     # With a wrong unit noise looks like motion.

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Collection, Iterator, Mapping, Sequence
+from types import MappingProxyType
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -15,7 +16,7 @@ from allanjax.inspection.windows import AT_REST, DEG, OfAxes, Samples, Values, W
 from allanjax.record.completion import widening
 from allanjax.record.io.grid import format_jitter
 from allanjax.record.recording import Axis, DeadAxis, Recording, scales_of
-from allanjax.record.units import parse_sample_unit, unit_scale
+from allanjax.record.units import Sensor, parse_sample_unit, unit_scale
 
 # Tolerance of gravity measured by a triad, and by a single axis. Gravity is known to 0.3 % anywhere, biases
 # and scale factors of consumer sensors to 5 %. A tilted single axis may read anything: hence less for it.
@@ -32,9 +33,10 @@ _LARGEST_BIAS = 20.0 * DEG
 _ROOT_HOUR = DEG / 60.0
 # White noise [rad/√s] below that of the best gyro made.
 _BEST_GYRO = 3e-5 * _ROOT_HOUR
-# Least ratio of the gyros' white noise [deg/√h] to the accelerometers' [m/s/√h]: of tested units it is 0.17
-# (fibre-optic gyros beside MEMS accelerometers) to 30, and 57 times less if rad/s are taken for deg/s.
-_LEAST_RATIO = 0.1
+# Least and largest ratio of the gyros' white noise [deg/√h] to the accelerometers' [m/s/√h]: of tested units
+# it is 0.17 (fibre-optic gyros beside MEMS accelerometers) to 30, 57 times less if rad/s are taken for deg/s,
+# and 57 times more if deg/s are taken for rad/s.
+_LEAST_RATIO, _MOST_RATIO = 0.1, 60.0
 # White noise [m/s/√h] above which accelerometers are MEMS.
 _MEMS = 0.03
 # Possible units [s] of a column of times.
@@ -83,6 +85,7 @@ def implausible(
     auxiliary: Mapping[str, Samples],
     moving: Collection[str] = (),
     vibrating: bool = False,
+    given: Mapping[Sensor, float] = MappingProxyType({}),
 ) -> list[Fact]:
     """Return facts about implausible units or an implausible rate.
 
@@ -95,18 +98,22 @@ def implausible(
         auxiliary: other columns, one of which may hold times.
         moving: sensors that are not at rest.
         vibrating: whether the platform is meant to move.
+        given: sensors whose unit was given, and the factor from their labels' unit to it.
     """
     grave: Consequence = "not a measurement"
     facts = [Fact("rate", _rate(rate, auxiliary), tuple(axis.name for axis in axes), grave)]
+    wrong = 1.0
     for accel in accelerometers(axes):
-        line = _accel(axes, accel, rate, mean, "accel" in moving)
+        line, factor = _accel(axes, accel, rate, mean, "accel" in moving)
+        wrong = factor if factor != 1.0 else wrong
         # The reading of a single axis depends on its tilt.
         means: Consequence = grave if len(accel) >= 3 else "none"
         facts.append(Fact("accel unit", line, tuple(axes[k].name for k in accel), means))
     # If accelerometers with a plausible unit move, so do the gyros.
     moves = vibrating or ("accel" in moving and not any(fact.text for fact in facts[1:]))
     gyros = tuple(axis.name for axis in axes if axis.sensor == "gyro")
-    facts.append(Fact("gyro unit", _gyro(axes, mean, white, "gyro" in moving, moves), gyros, grave))
+    doubt = _gyro(axes, mean, white, "gyro" in moving, moves) or _doubtful(axes, white, rate, wrong, given)
+    facts.append(Fact("gyro unit", doubt, gyros, grave))
     return [fact for fact in facts if fact.text]
 
 
@@ -119,12 +126,14 @@ def accelerometers(axes: Sequence[Axis]) -> list[list[int]]:
     return list(groups.values())
 
 
-def _accel(axes: Sequence[Axis], accel: Sequence[int], rate: float, mean: OfAxes, moving: bool) -> str:
-    """Return a warning about an accelerometer that does not measure gravity, or ""."""
+def _accel(
+    axes: Sequence[Axis], accel: Sequence[int], rate: float, mean: OfAxes, moving: bool
+) -> tuple[str, float]:
+    """Return a warning about an accelerometer that does not measure gravity, or "", and a likely factor."""
     size = float(np.linalg.norm(mean[accel]))
     triad = len(accel) >= 3
     if abs(size / _G - 1.0) < _ABOUT or size == 0.0:
-        return ""
+        return "", 1.0
     own = parse_sample_unit(axes[accel[0]].unit, "accel")
     number = size / scales_of([axes[accel[0]]], rate)[0]
     wrong = f"the accelerometers average {number:.4g} {own.name}, but gravity is 9.81 m/s²"
@@ -137,22 +146,26 @@ def _accel(axes: Sequence[Axis], accel: Sequence[int], rate: float, mean: OfAxes
         for factor in (10.0, 0.1, 100.0, 0.01):
             if is_gravity(size / factor):
                 probable = rate / factor
-                return (
+                text = (
                     f"{wrong} ({_G / size * number:.4g} {own.name} at {rate:g} Hz); the rate is probably "
                     f"{probable:g} Hz: pass --rate {probable:g}"
                 )
+                return text, 1.0
     for other in _ACCEL_UNITS:
-        if is_gravity(number * unit_scale(other, "accel")):
+        scale = unit_scale(other, "accel")
+        if is_gravity(number * scale):
             option = f"--accel-unit {other.replace('²', '^2')}"
-            return f"{wrong}; the unit is probably {other}: pass {option}{_HEADER}"
+            text = f"{wrong}; the unit is probably {other}: pass {option}{_HEADER}"
+            return text, number * scale / size
     if own.quantity == "rate" and is_gravity(size * rate):
-        return (
+        text = (
             f"{wrong} ({_G / rate:.4g} m/s per sample); the samples are probably increments: pass "
             f"--accel-unit m/s{_HEADER}"
         )
+        return text, rate
     if triad and not moving and size > _NONE * _G:
-        return f"{wrong}; is the unit right (--accel-unit), and is the range wide enough?"
-    return ""
+        return f"{wrong}; is the unit right (--accel-unit), and is the range wide enough?", 1.0
+    return "", 1.0
 
 
 def _gyro(
@@ -189,6 +202,57 @@ def _gyro(
                 f"values are in rad/s, pass --gyro-unit rad/s{_HEADER}"
             )
     return ""
+
+
+def _doubtful(
+    axes: Sequence[Axis],
+    white: Float[np.ndarray, "scales axes"],
+    rate: float,
+    factor: float,
+    given: Mapping[Sensor, float],
+) -> str:
+    """Return a warning about gyros whose unit is doubtful beside the accelerometers, or "".
+
+    A label that is wrong for the accelerometers is probably wrong for the gyros, too.
+
+    Args:
+        axes, white, rate, given: as for `implausible`.
+        factor: factor from the accelerometers' samples as read to those in their probable unit.
+    """
+    gyros = [k for k, axis in enumerate(axes) if axis.sensor == "gyro"]
+    accel = [k for k, axis in enumerate(axes) if axis.sensor == "accel"]
+    if not gyros or not accel or "gyro" in given:
+        return ""
+    noise = float(np.median(white.min(axis=0)[gyros])) / _ROOT_HOUR
+    beside = float(np.median(white.min(axis=0)[accel])) * 60.0 * factor
+    unit = parse_sample_unit(axes[gyros[0]].unit, "gyro").name
+    why, others = "", dict[str, float]()
+    # Samples in a given unit are right, but their label was wrong.
+    factor = factor * given.get("accel", 1.0)
+    if factor != 1.0:
+        why = "the label of the accelerometers is wrong, which puts that of the gyros in doubt"
+        # From m/s² to g or mg, from g to m/s², and from rates to increments.
+        if unit == "rad/s" and _is_about(factor, _G, _G / 1e3):
+            others = {"deg/s": DEG}
+        elif unit == "deg/s" and _is_about(factor, 1.0 / _G):
+            others = {"rad/s": 1.0 / DEG}
+        elif _is_about(factor, rate):
+            others = {unit.removesuffix("/s"): rate}
+    elif unit == "rad/s" and noise > _MOST_RATIO * beside > 0.0:
+        why = f"that is too much beside accelerometers with {plain(beside, 2)} m/s/√h"
+        others = {"deg/s": DEG}
+    for other, scale in others.items():
+        return (
+            f"as read ({unit}) the gyros have {plain(noise, 3)} deg/√h of noise; {why}: in {other} it is "
+            f"{plain(noise * scale, 3)} deg/√h: pass --gyro-unit {other}, or --gyro-unit {unit} if that is "
+            "right"
+        )
+    return ""
+
+
+def _is_about(factor: float, *wanted: float) -> bool:
+    """Return whether a factor is one of these, within the tolerance of gravity."""
+    return any(abs(factor / one - 1.0) < _TRIAD for one in wanted)
 
 
 def _rate(rate: float, auxiliary: Mapping[str, Samples]) -> str:

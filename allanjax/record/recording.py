@@ -61,6 +61,7 @@ class Recording(ByValue):
         gaps: where samples of the record are missing, either filled in or between segments; None if that is
             unknown without time stamps.
         begun: UNIX time of the first sample [s]; None if the time stamps do not tell it.
+        given: sensors whose unit was given, and the factor from their labels' unit to it; 1 without labels.
     """
 
     values: Float[np.ndarray, "samples axes"]
@@ -77,6 +78,7 @@ class Recording(ByValue):
     others: tuple[Float[np.ndarray, "_ axes"], ...] = ()
     gaps: tuple[Gap, ...] | None = None
     begun: float | None = None
+    given: Mapping[Sensor, float] = field(default_factory=lambda: MappingProxyType({}))
 
     @classmethod
     def from_array(
@@ -347,6 +349,7 @@ def _recording(table: Table, layout: Layout, record: Record, name: str) -> Recor
         others=tuple(x * scales for x in others if (np.ptp(x, axis=0) > 0.0).all()),
         gaps=gaps,
         begun=record.begun,
+        given=MappingProxyType(dict(layout.given)),
     )
 
 

@@ -2,7 +2,8 @@
 
 import difflib
 import functools
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -23,7 +24,7 @@ from allanjax.record.columns import (
 )
 from allanjax.record.io.options import ReadOptions
 from allanjax.record.io.table import Columns, Table, is_numeric
-from allanjax.record.units import SENSORS, Sensor, convert
+from allanjax.record.units import SENSORS, Sensor, convert, unit_scale
 from allanjax.record.validation import check_names
 
 # Entries in a list of columns that skip a column.
@@ -41,6 +42,7 @@ class Layout:
         axes: these axes, with the units of their samples.
         clock: columns of the time stamps: none, one, or seconds and nanoseconds.
         auxiliary: other columns.
+        given: sensors whose unit was given, and the factor from their labels' unit to it; 1 without labels.
         notes: assumptions that users should know.
     """
 
@@ -48,6 +50,7 @@ class Layout:
     axes: tuple[Axis, ...]
     clock: tuple[Column, ...]
     auxiliary: tuple[Column, ...]
+    given: Mapping[Sensor, float]
     notes: tuple[str, ...]
 
     @classmethod
@@ -77,7 +80,8 @@ class Layout:
         axes, axis_notes = axes_of(columns, table.units_with(options), table.source)
         used = in_clock | {column.index for column in columns}
         auxiliary = tuple(c for c in found if c.index not in used and _is_channel(c, first[c.index]))
-        return cls(columns, axes, clock, auxiliary, (*notes, *clock_notes, *_notes_on(columns), *axis_notes))
+        every = (*notes, *clock_notes, *_notes_on(columns), *axis_notes)
+        return cls(columns, axes, clock, auxiliary, _given(columns, options), every)
 
     @property
     def clock_label(self) -> str:
@@ -346,6 +350,19 @@ def _check_all_used(
             "time_unit= (--time-unit) is given, but no time stamps are read; omit it, or name their column "
             "with time= (--time)"
         )
+
+
+def _given(axes: Sequence[Column], options: ReadOptions) -> dict[Sensor, float]:
+    """Return the sensors whose unit was given, and the factor from their labels' unit to it."""
+    found: dict[Sensor, float] = {}
+    for sensor, unit in options.units.items():
+        labelled = next((recognise(c.label).unit for c in axes if c.sensor == sensor), None)
+        if unit is None:
+            continue
+        found[sensor] = 1.0
+        with suppress(UnitError):
+            found[sensor] = unit_scale(unit, sensor) / unit_scale(labelled, sensor) if labelled else 1.0
+    return found
 
 
 def _notes_on(axes: Sequence[Column]) -> list[str]:
