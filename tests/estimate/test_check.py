@@ -66,7 +66,7 @@ WRONG = {
     "rad/s": (lambda d: d.rename(columns=lambda k: k.replace("deg/", "rad/")), "gyro unit", "stop", "deg/s"),
     "moving": (lambda d: {X: d[X] + 20.0 * np.sin(1.9 * t)}, "at rest", "stop", "static"),
     "jittering": (lambda d: {TIME: t + RNG(1).normal(0.0, 1e-3, N)}, "jitter", "look", "14 %"),
-    "irregular": (lambda d: {TIME: t + RNG(1).uniform(-0.45, 0.45, N) / RATE}, "jitter", "stop", "0.00366 s"),
+    "irregular": (lambda d: {TIME: t + RNG(1).uniform(-0.45, 0.45, N) / RATE}, "jitter", "look", "evenly"),
     "gap": (lambda d: {TIME: t + 2.0 * (t >= 81.92)}, "gaps", "stop", "2.01 s"),
     "knocked": (lambda d: {k: d[k] + KNOCK for k in ACCEL}, "disturbances", "look", "from 0.0–39.8 s"),
     "warm": (lambda d: {X: d[X] + 0.2 * (d[WARM] - 25.0) / np.ptp(d[WARM])}, "temperature", "look", "gyro_x"),

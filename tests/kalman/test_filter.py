@@ -155,7 +155,9 @@ def test_a_long_record_is_filtered_and_smoothed_as_by_numbers(K):
 def test_missing_samples_of_a_recording_are_not_seen(n, gap):
     """Gaps shorter and longer than a block of samples, and one almost to the end."""
     z, lost = samples(SUM, n), np.isin(np.arange(n), np.arange(n)[gap])
-    spoilt = dataclasses.replace(recording(np.where(lost, 99.0, z)), missing=lost[:, None])
+    made = recording(z)
+    values = np.where(lost[:, None], 99.0, made.values)
+    spoilt = dataclasses.replace(made, values=values, missing=lost[:, None])
     found = aj.kalman_filter(spoilt, SUM).results[0]
     assert found.log_likelihood == pytest.approx(-Gaussian(z, RATE, lost).value(SUM), rel=1e-8)
     assert_array_equal(found.missing, lost)

@@ -26,6 +26,8 @@ _CHANCE, _SHORTEST, _EQUAL = 1e-9, 32, 1e-3
 _SLOWER = 0.5
 # Bits of the numbers that wrap, and the least distance of the wrapped samples, in standard deviations.
 _BITS, _APART = (8, 12, 16, 24, 32), 10.0
+# Share of the range about its middle in which there is none of them.
+_BETWEEN = 0.1
 # Samples from which the smallest step between values is determined.
 _LOOKED_AT = 1 << 15
 
@@ -117,9 +119,9 @@ def _marker(x: Float[np.ndarray, " samples"]) -> float | None:
 
 
 def _ends(x: Float[np.ndarray, " samples"]) -> tuple[float, float]:
-    """Return the least and the largest number; equal ones if there is none."""
+    """Return the least and the largest number; equal ones if there is none, or one is not finite."""
     low, high = float(np.fmin.reduce(x)), float(np.fmax.reduce(x))
-    return (low, high) if low == low else (0.0, 0.0)
+    return (low, high) if np.isfinite(high - low) else (0.0, 0.0)
 
 
 def _step(x: Float[np.ndarray, " samples"]) -> float:
@@ -165,7 +167,11 @@ def _unwrapped(values: Values, sensor: Sensor | None) -> tuple[Values, list[str]
 def _turn(x: Float[np.ndarray, " samples"]) -> float:
     """Return the range of the numbers of an axis if some of its samples have wrapped; else 0."""
     low, high = _ends(x)
-    is_high = x > 0.5 * (low + high)
+    middle = 0.5 * (low + high)
+    # Most noise is in between.
+    if low == high or (abs(x[:_LOOKED_AT] - middle) < _BETWEEN * (high - low)).any():
+        return 0.0
+    is_high = x > middle
     above, below = x[is_high], x[~is_high & np.isfinite(x)]
     if len(above) < _LEAST or len(below) < _LEAST:
         return 0.0

@@ -33,8 +33,8 @@ _UNITS = ("s", "ms", "us", "ns")
 # Criteria for stamps without a unit: UNIX time in s, 2001 to 2065, and rates of inertial sensors in Hz.
 _UNIX_SECONDS = (1e9, 3e9)
 _PLAUSIBLE_RATES = (1.0, 2e4)
-# Stamps from which the resolution of times of the day is determined.
-_LOOKED_AT = 1000
+# Stamps from which the resolution is determined.
+_LOOKED_AT = 1 << 15
 # Times of the day, and a date with its zone.
 _CLOCK = re.compile(r"\s*(\d{1,2}):(\d\d):(\d\d(?:[.,]\d+)?)\s*([ap]\.?m\.?)?\s*", re.IGNORECASE)
 _ZONE = re.compile(r"(?:Z|[+-]\d\d:?\d\d)\s*$")
@@ -146,11 +146,11 @@ class Clock:
         """Return the resolution of the stamps [s]: all are multiples of it; 0 if none is known."""
         if self.kind == "pair":
             return 1e-9
-        values = stamps[0]
+        values = stamps[0][:_LOOKED_AT]
         if self.kind == "dates":
             return 1e-9 * _common_step(self._dates(values, Source(self.label)).astype(np.int64))
         if self.kind == "clock":
-            return _decimal_step(self._of_day(values[:_LOOKED_AT], Source(self.label)))
+            return _decimal_step(self._of_day(values, Source(self.label)))
         if values.dtype.kind in "iu":
             return convert(float(_common_step(values)), self.unit, "s")
         return convert(_decimal_step(as_float(values, self.label, Source(self.label))), self.unit, "s")
@@ -200,11 +200,11 @@ def is_missing(cell: object) -> bool:
 
 def _date_format(text: str) -> str:
     """Return the format of a date, "ISO8601" for most; "" for a text that is no date."""
+    if not re.search(r"\d{2,4}[-/. ]|\d{8}T", text):
+        return ""
     import pandas as pd
     from pandas.tseries.api import guess_datetime_format
 
-    if not re.search(r"\d{2,4}[-/. ]|\d{8}T", text):
-        return ""
     try:
         float(text)
     except ValueError:
