@@ -295,10 +295,23 @@ def convert(
 def _converted(
     value: float, unit: str, to: str, sided: Literal["one", "two"] | None
 ) -> dict[str | None, float]:
-    """The value in the other unit by the kind of density that it is: None if that makes no difference."""
+    """The value in the other unit by the kind of density that it is: None if that makes no difference.
+
+    Of a density of power it is the root, where the other unit is that of an amplitude.
+    """
+    from allanjax.base.errors import UnitError
     from allanjax.record.units import convert, density_power
 
-    number = convert(value, unit, to)
+    root = f"({unit})^0.5"
+    try:
+        number = convert(value, unit, to)
+    except UnitError as error:
+        if value < 0.0:
+            raise
+        try:
+            number, unit = convert(math.sqrt(value), root, to), root
+        except UnitError:
+            raise error from None
     power = density_power(unit) - density_power(to)
     if power == 0.0:
         return {None: number}

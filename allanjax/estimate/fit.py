@@ -99,7 +99,7 @@ def fit(
     objective: Objective = "allan",
     *,
     wavelet: str = "haar",
-    regressors: Sequence[str] = (),
+    regressors: Sequence[str] | str = (),
     as_is: bool = False,
     vibrating: bool = False,
     plain: bool = False,
@@ -165,6 +165,7 @@ def fit(
     if isinstance(recording, AllanDeviation):
         return fit_curve(recording, model, objective)
     recording = as_recording(recording, rate, gyro_unit, accel_unit, names, gaps)
+    regressors = (regressors,) if isinstance(regressors, str) else regressors
     seen = inspected(recording, model, regressors, as_is, vibrating)
     return fit_inspected(recording, seen, model, objective, regressors, plain, wavelet, as_is)
 
@@ -233,7 +234,10 @@ def inspected(
     timed = any(isinstance(term, Transient) for term in terms)
     may_move = timed or bool(regressors) or any(isinstance(term, Telegraph) for term in terms)
     # The time of a step counts from the first sample.
-    return inspect(recording, as_is=as_is or timed, vibrating=vibrating, may_move=may_move)
+    seen = inspect(recording, as_is=as_is or timed, vibrating=vibrating, may_move=may_move)
+    # What an axis follows is regressed on, so that it needs no advice.
+    facts = tuple(fact for fact in seen.facts if fact.kind != "temperature" or not regressors)
+    return dataclasses.replace(seen, facts=facts)
 
 
 def _with_quiet_segments(quiet: Recording, count: int) -> Recording:

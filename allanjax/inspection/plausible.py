@@ -49,6 +49,8 @@ _FLAT = 6.0
 _COUNTED = 1 << 14
 #: Shorter recordings [s] hold little information on B and K, which show over tens of seconds.
 SHORT = 60.0
+# Shorter ones [s], and higher rates [Hz], are no records of inertial sensors.
+_HARDLY, _HIGHEST_RATE = 1.0, 5e4
 # Fewer samples determine N so poorly that users are warned.
 _FEW_SAMPLES = 1000
 #: Distance from a multiple of the step, in steps, up to which a value counts as that multiple.
@@ -256,7 +258,12 @@ def _is_about(factor: float, *wanted: float) -> bool:
 
 
 def _rate(rate: float, auxiliary: Mapping[str, Samples]) -> str:
-    """Return a warning about an unused column of times that contradicts the rate, or ""."""
+    """Return a warning about a rate that no sensor has, or that an unused column contradicts, or ""."""
+    if rate > _HIGHEST_RATE:
+        return (
+            f"the rate is {rate:g} Hz, which no inertial sensor has; if the unit of the times is wrong, pass "
+            "--time-unit, or --rate"
+        )
     for name, column in auxiliary.items():
         if not ("time" in name.lower() or name.lower() in ("t", "stamp")):
             continue
@@ -279,6 +286,12 @@ def short(n: int, rate: float, axes: Sequence[Axis]) -> list[Fact]:
     """Return a fact about a recording of n samples at this rate [Hz] if it is short."""
     if n >= _FEW_SAMPLES and n / rate >= SHORT:
         return []
+    if n / rate < _HARDLY:
+        line = (
+            f"{n:,} samples last {n / rate:.3g} s only; if it was longer, the unit of the times is wrong: "
+            "pass --time-unit, or --rate"
+        )
+        return [Fact("length", line, tuple(axis.name for axis in axes), size=n / rate, unit="s")]
     line = f"{n / rate:.3g} s is too short for B and K, which show over tens of seconds or more"
     if n < _FEW_SAMPLES:
         line += f"; with {n} samples, N is known to ±{100.0 / np.sqrt(n):.0f} % at best"

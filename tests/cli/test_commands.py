@@ -126,6 +126,10 @@ def test_words_come_in_any_order_and_the_last_value_counts():
     assert (refused.exit_code, "columns= has 3 entries" in refused.stderr) == (1, True)
     converted = ran("convert", -180, "deg/s", "--to", "m", "--to", "rad/s")
     assert converted == "-180 deg/s = -3.14159 rad/s\n"
+    # The root of a density of power, which is (0.316 µg)²/Hz.
+    assert ran("convert", 1e-13, "g^2/Hz", "--to", "ug/√Hz") == "1e-13 g^2/Hz = 0.316228 ug/√Hz\n"
+    two_sided = ran("convert", 1e-6, "(deg/s)^2/Hz", "--to", "deg/√h", "--sided", "two")
+    assert two_sided == "1e-06 (deg/s)^2/Hz = 0.06 deg/√h (two-sided density)\n"
 
 
 def test_characterize_prints_the_table_and_writes_the_results():

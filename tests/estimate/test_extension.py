@@ -71,7 +71,7 @@ def test_regressors_leave_the_terms_plain():
     record = bench.recording("one_pole")
     slow = np.sin(np.arange(record.n) / 5000.0) + np.arange(record.n) / record.n
     whole = dataclasses.replace(record, auxiliary={"temperature": slow})
-    found = aj.fit(whole, None, "whittle", regressors=["temperature"], as_is=True)
+    found = aj.fit(whole, None, "whittle", regressors="temperature", as_is=True)
     assert all(result.own_template is None and result.regression for result in found.results)
 
 

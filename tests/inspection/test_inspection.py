@@ -282,6 +282,34 @@ def test_units_that_can_and_cannot_be():
             assert aj.inspect(recording(x, rate, **followed)).facts == ()
 
 
+def labelled(x, gyro, accel, **options):
+    """Recording of a table whose labels have these units, whatever the numbers are."""
+    units = 3 * [gyro] + 3 * [accel]
+    columns = {f"{name} [{unit}]": y for name, unit, y in zip(NAMES, units, x.T, strict=True)}
+    return aj.Recording.from_dataframe({"time [s]": TIME, **columns}, **options)
+
+
+@pytest.mark.parametrize(("scale", "gyro", "accel"), [(DEG, "deg/s", "g"), (1.0, "rad/s", "m/s^2")])
+def test_a_wrong_label_of_one_sensor_puts_that_of_the_other_in_doubt(scale, gyro, accel):
+    """Gyros of 0.3 deg/√h and no bias, which would be plausible in either unit alone."""
+    rng = np.random.default_rng(31)
+    white = np.array(3 * [0.3 * DEG] + 3 * [0.06]) / 60.0 * np.sqrt(RATE)
+    x = (white * rng.standard_normal((len(TIME), 6)) + [0, 0, 0, 0, 0, G]) / np.repeat([scale, G], 3)
+    x[:, 3:] *= 1.0 if accel == "g" else G
+    wrong = ("rad/s", "m/s^2") if gyro == "deg/s" else ("deg/s", "g")
+    for options, units in (({}, f"--accel-unit {accel}|--gyro-unit {gyro}"), ({"accel_unit": accel}, "")):
+        facts = aj.inspect(labelled(x, *wrong, **options)).facts
+        assert "gyro unit" in [fact.kind for fact in facts if fact.grave]
+        assert all(any(unit in fact.text for fact in facts) for unit in units.split("|"))
+    # What a user knows is not doubted, nor what the labels say right.
+    for sure in (labelled(x, *wrong, gyro_unit=gyro, accel_unit=accel), labelled(x, gyro, accel)):
+        assert not [fact for fact in aj.inspect(sure).facts if "unit" in fact.kind]
+    # Without accelerometers that are wrong, the noise beside theirs tells.
+    if gyro == "deg/s":
+        facts = aj.inspect(labelled(x, "rad/s", "g")).facts
+        assert [(fact.kind, fact.axes) for fact in facts] == [("gyro unit", tuple(NAMES[:3]))]
+
+
 def test_noise_that_no_gyro_has_and_orientations_that_can_be():
     """White noise [deg/√h] below that of the best gyro made, 3e-5, or above that of any at rest, 18."""
     white = np.random.default_rng(3).standard_normal((20_000, 3)) * DEG / 60.0 * np.sqrt(RATE)

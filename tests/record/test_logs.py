@@ -158,6 +158,12 @@ def test_what_px4_combines_and_integrates(tmp_path):
     recording = check(aj.read(write_ulog(path, {("sensor_combined", 0): rows}, [30, 12])))
     assert noted(recording, "2 logging dropouts", "42 ms")
     assert noted(recording, "sensor_combined", "SDLOG_PROFILE")
+    # Power that was lost within a message.
+    whole = path.read_bytes()
+    path.write_bytes(whole[: len(whole) // 2])
+    cut = aj.read(path)
+    assert 0.3 * N < cut.n < 0.7 * N
+    assert noted(cut, "ends within a message")
     # What stands for a time that there is not.
     rows["accelerometer_timestamp_relative"][7] = 0x7FFFFFFF
     refused(write_ulog(path, {("sensor_combined", 0): rows}), "accel_x|row 7")

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float, Int, Shaped, UInt8
 
+from allanjax.base.wording import duration
 from allanjax.record.io.series import Series, joined
 from allanjax.record.io.table import CHOICES, Format, Table, damage_reported, floats, optional_package
 from allanjax.record.validation import Source
@@ -71,6 +72,9 @@ def open_ulog(path: Path, source: Source, topic: str | None, instance: int | Non
         notes.append(f"{count} logging dropout{'s' * (count > 1)}, {lost} ms in total")
     if log.file_corruption:
         notes.append("damaged parts of the log are left out")
+    if stream.is_cut:
+        end = float(chosen[0].times[-1] - chosen[0].times[0]) * 1e-9
+        notes.append(f"the log ends within a message after {duration(end)}, as when power is lost")
     return joined(chosen, source).table("timestamp", source, notes)
 
 
@@ -78,7 +82,12 @@ class _BoundedFile(io.BufferedReader):
     """File with a limited number of reads, since pyulog may go back forever in a damaged one.
 
     It advances by at least one byte at a time, with two calls each.
+
+    Attributes:
+        is_cut: whether a read has met the end of the file before its last byte.
     """
+
+    is_cut = False
 
     def __init__(self, path: Path) -> None:
         super().__init__(io.FileIO(path))
@@ -89,7 +98,9 @@ class _BoundedFile(io.BufferedReader):
         if self._calls < 0:
             # An error that pyulog does not catch.
             raise RuntimeError("reading does not end, as the file is damaged")
-        return super().read(size)
+        content = super().read(size)
+        self.is_cut |= 0 < len(content) < (size or 0)
+        return content
 
 
 def _times(fields: Fields) -> Int[np.ndarray, " n"]:
