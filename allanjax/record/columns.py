@@ -330,8 +330,16 @@ def scales_of(axes: Sequence[Axis], rate: float) -> Float[np.ndarray, " axes"]:
     return np.array([unit.scale * (rate if unit.quantity == "increment" else 1.0) for unit in units])
 
 
-def default_names(count: int, units: Mapping[Sensor, str | None], source: Source) -> tuple[str, ...]:
+# Names of columns in a message that asks for them.
+_EXAMPLE = ("time", *(f"{sensor}_{axis}" for sensor in SENSORS for axis in "xyz"))
+
+
+def default_names(
+    count: int, units: Mapping[Sensor, str | None], source: Source, seen: str = ""
+) -> tuple[str, ...]:
     """Return names of `count` columns without any, implied by the sensors whose units are given.
+
+    A message quotes what was `seen`.
 
     Raises:
         RecordingError: they imply none.
@@ -343,9 +351,9 @@ def default_names(count: int, units: Mapping[Sensor, str | None], source: Source
         return tuple(f"{sensor}_{axis}" for sensor in sensors for axis in "xyz")
     stated = " and ".join(f"{sensor}_unit=" for sensor in sensors) or "no unit"
     raise source.error(
-        f"{count} columns without names and {stated} given: the columns cannot be identified; "
-        "name them with columns= (--columns; names= of an array), e.g. "
-        "gyro_x,gyro_y,gyro_z,accel_x,accel_y,accel_z"
+        f"{count} columns without names and {stated} given: the columns cannot be identified{seen}; "
+        "name them with columns= (--columns; names= of an array), one entry per column, - skips one, e.g. "
+        f"{','.join(_EXAMPLE[-count:] if count < 7 else _EXAMPLE + ('-',) * (count - 7))}"
     )
 
 

@@ -145,6 +145,17 @@ def test_a_column_that_counts_time_is_a_clock_whatever_its_name(read, label, ste
     refused(lambda: read(frame(step + 0 * np.arange(N), samples(rate), label)), "no sample rate|--rate")
 
 
+def test_columns_without_names_may_begin_with_times(tmp_path):
+    """If units are given for the others; else the message shows the first row, and names that fit."""
+    path = tmp_path / "imu.csv"
+    np.savetxt(path, np.c_[5 * np.arange(N), samples(200.0)], delimiter=",")
+    is_right(aj.read(path, gyro_unit="deg/s"), 200.0)
+    message = str(refused(lambda: aj.read(path), "4 columns without names|first row is 0.0,"))
+    (names,) = re.findall(r"e\.g\. (\S+)", message)
+    assert len(names.split(",")) == 4
+    assert aj.read(path, columns="time,gyro_x,gyro_y,gyro_z", gyro_unit="deg/s").names[0] == "gyro_x"
+
+
 def test_what_is_given_is_used_or_refused(read):
     """A unit of a sensor that is not there, a unit of times without any."""
     table = frame(np.arange(N) / 100.0, samples(100.0))

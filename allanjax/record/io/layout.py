@@ -123,7 +123,12 @@ def _found(table: Table, first: Columns, options: ReadOptions) -> tuple[list[Col
             )
         found = _recognised(table.labels)
     else:
-        names = default_names(len(first), options.units, table.source)
+        # Times are usually in the first column.
+        axes = 3 * sum(unit is not None for unit in options.units.values())
+        timed = 0 < axes == len(first) - 1 and is_numeric(first[0]) and _increases(first[0])
+        row = f" (the first row is {', '.join(str(column[0])[:12] for column in first[:10])})"
+        own = default_names(len(first) - timed, options.units, table.source, row)
+        names = ("time", *own) if timed else own
         found = _recognised(names)
         notes.append(f"the columns have no names; they are assumed to be {', '.join(names)}")
     found = [_as_time(column, first[column.index], table) for column in found]
