@@ -23,6 +23,7 @@ from allanjax.record.completion import (
     notes_on,
     rows_between,
 )
+from allanjax.record.io.kinds import of_one_kind
 from allanjax.record.io.layout import Layout
 from allanjax.record.io.options import GapChoice, ReadOptions
 from allanjax.record.io.record import Record
@@ -314,7 +315,7 @@ class Recording(ByValue):
 
 def recording_of(table: Table, name: str, options: ReadOptions) -> Recording:
     """Make a recording from a table, with the errors of `read`."""
-    columns = table.columns()
+    table, columns = of_one_kind(table, table.columns(), options)
     layout = Layout.of(table, columns, options)
     record = Record.of(table, layout, columns, options)
     return _recording(table, layout, record, name)

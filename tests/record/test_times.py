@@ -1,10 +1,12 @@
 """What stamps tell: even samples, missing ones, pieces of other rates, clocks; truth is what made them."""
 
+import json
 import re
 
 import numpy as np
 import pandas as pd
 import pytest
+from commands import run
 from imu_columns import noted, refused
 
 import allanjax as aj
@@ -143,6 +145,36 @@ def test_a_column_that_counts_time_is_a_clock_whatever_its_name(read, label, ste
     is_right(read(frame(step * np.arange(N), samples(rate), label)), rate)
     # A duration beside samples does not increase.
     refused(lambda: read(frame(step + 0 * np.arange(N), samples(rate), label)), "no sample rate|--rate")
+
+
+@pytest.mark.parametrize(
+    ("header", "kinds"),
+    [
+        ("time [s],sensor,x,y,z", ("gyro", "accel")),
+        ("time [s],type,x,y,z", ("GYR", "ACC")),
+        ("", ("GYR", "ACC")),
+    ],
+)
+def test_rows_of_several_sensors_are_read_sensor_by_sensor(tmp_path, header, kinds):
+    """With or without names, both sensors at their own times; the command reads both."""
+    gyro, accel = samples(100.0), samples(100.0, seed=2) + [0.0, 0.0, 9.8]
+    lines = [header] if header else []
+    for k in range(N):
+        for kind, late, x in ((kinds[0], 0.0, gyro[k]), (kinds[1], 2e-4, accel[k])):
+            lines.append(f"{k / 100.0 + late:.4f},{kind}," + ",".join(map(str, x.tolist())))
+    path = tmp_path / "imu.csv"
+    path.write_text("\n".join([*lines, ""]))
+    with pytest.raises(aj.RecordingError, match="rows of gyro and accel alternate"):
+        aj.read(path)
+    recording = aj.read(path, columns="gyro", gyro_unit="deg/s")
+    is_right(recording, 100.0)
+    np.testing.assert_allclose(recording.own_values, gyro, rtol=1e-12)
+    recording = aj.read(path, columns="accel", accel_unit="m/s^2")
+    assert recording.names == ("accel_x", "accel_y", "accel_z")
+    np.testing.assert_allclose(recording.values, accel, rtol=1e-12)
+    units = ("--gyro-unit", "deg/s", "--accel-unit", "m/s^2")
+    checks = json.loads(run("check", path, *units, "--json").stdout)["checks"]
+    assert len(checks) == 2
 
 
 def test_columns_without_names_may_begin_with_times(tmp_path):

@@ -14,6 +14,7 @@ from allanjax.record.completion import rows_between
 from allanjax.record.io.absent import without_samples
 from allanjax.record.io.formats import format_of, name_of
 from allanjax.record.io.grid import Stamps
+from allanjax.record.io.kinds import of_one_kind
 from allanjax.record.io.layout import Layout
 from allanjax.record.io.options import ReadOptions
 from allanjax.record.io.record import (
@@ -164,6 +165,8 @@ def chunks_of(table: Table, name: str, options: ReadOptions, chunk: int) -> Chun
     first = next(table.rows(chunk), None)
     if first is None:
         raise table.no_rows()
+    if of_one_kind(table, first, options)[0] is not table:
+        raise source.error("rows of several kinds are read only by read() (without --stream)")
     layout = Layout.of(table, first, options)
     rate, notes = stated_rate(table, options.rate)
     part = _PartOfFile(table, layout, None, options.start, options.stop, chunk)

@@ -1,0 +1,81 @@
+"""Tables whose rows are of several sensors, which a column of words names: one of them is read."""
+
+from dataclasses import replace
+
+import numpy as np
+from jaxtyping import Shaped
+
+from allanjax.base.errors import MixedRatesError
+from allanjax.record.columns import recognise, split_unit
+from allanjax.record.io.options import ReadOptions
+from allanjax.record.io.table import Columns, Table, is_numeric
+from allanjax.record.units import SENSORS, Sensor
+
+# Rows in which kinds are looked for, and the most kinds that there are.
+_FIRST_ROWS, _MOST_KINDS = 1000, 50
+_AXES = ("x", "y", "z")
+
+
+def of_one_kind(table: Table, columns: Columns, options: ReadOptions) -> tuple[Table, Columns]:
+    """Return the rows of one sensor, with names of its axes; others unchanged.
+
+    Raises:
+        MixedRatesError: there are rows of several sensors, and none was chosen with `columns`.
+    """
+    labels = table.labels or _labels(columns)
+    stems = [split_unit(label)[0].casefold() for label in labels]
+    words = [k for k, column in enumerate(columns) if not is_numeric(column) and column.dtype.kind != "M"]
+    if not set(_AXES) <= set(stems) or not words:
+        return table, columns
+    for k in words:
+        kinds = _sensors(columns[k])
+        if not kinds:
+            continue
+        found = tuple(sensor for sensor in SENSORS if sensor in kinds.values())
+        chosen = found[0] if len(found) == 1 else options.columns
+        if chosen not in found:
+            error = table.source.error(
+                f"rows of {' and '.join(found)} alternate, as column {labels[k]!r} says; read one sensor "
+                "with columns='gyro' or columns='accel' (--columns gyro, --columns accel)"
+            )
+            raise MixedRatesError(str(error), found)
+        wanted = [kind for kind, sensor in kinds.items() if sensor == chosen]
+        rows = np.isin(columns[k].astype(str), wanted)
+        named = [_renamed(label, str(chosen)) for label in labels]
+        others = [i for i in range(len(columns)) if i != k]
+        note = f"{rows.sum():,} of {len(rows):,} rows are of the {chosen}, as column {labels[k]!r} says"
+        part = Table.of(
+            tuple(columns[i][rows] for i in others),
+            tuple(named[i] for i in others),
+            table.source.at(rows),
+            table.rate,
+            (*table.notes, note),
+        )
+        part = replace(part, units=table.units)
+        return part, part.columns()
+    return table, columns
+
+
+def _labels(columns: Columns) -> tuple[str, ...]:
+    """Return the labels of columns without any: a kind, a time and three axes are told by their number."""
+    numbers = sum(map(is_numeric, columns))
+    names = {3: _AXES, 4: ("time", *_AXES)}.get(numbers, tuple(map(str, range(numbers))))
+    own = iter(names)
+    return tuple(next(own) if is_numeric(column) else f"column {k + 1}" for k, column in enumerate(columns))
+
+
+def _sensors(column: Shaped[np.ndarray, " rows"]) -> dict[str, Sensor]:
+    """Return the words in a column that name a sensor, and these sensors."""
+    kinds = sorted(set(column[:_FIRST_ROWS].astype(str)))
+    if len(kinds) > _MOST_KINDS:
+        return {}
+    named = {kind: recognise(kind).sensor for kind in kinds}
+    return {kind: sensor for kind, sensor in named.items() if sensor is not None}
+
+
+def _renamed(label: str, sensor: str) -> str:
+    """Return the label of an axis with the name of its sensor; others unchanged."""
+    stem, unit = split_unit(label)
+    if stem.casefold() not in _AXES:
+        return label
+    return f"{sensor}_{stem.casefold()}" + (f" [{unit}]" if unit else "")
