@@ -157,7 +157,7 @@ def test_a_column_that_counts_time_is_a_clock_whatever_its_name(read, label, ste
 )
 def test_rows_of_several_sensors_are_read_sensor_by_sensor(tmp_path, header, kinds):
     """With or without names, both sensors at their own times; the command reads both."""
-    gyro, accel = samples(100.0), samples(100.0, seed=2) + [0.0, 0.0, 9.8]
+    gyro, accel = samples(100.0), samples(100.0, seed=2) + np.array([0.0, 0.0, 9.8])
     lines = [header] if header else []
     for k in range(N):
         for kind, late, x in ((kinds[0], 0.0, gyro[k]), (kinds[1], 2e-4, accel[k])):
