@@ -22,6 +22,8 @@ _AT_ONCE = 0.9
 # Probability that samples of a sensor that is alive are equal as often in a row, in a whole record; the
 # fewest that count; and the probability of equal neighbours that is assumed at least.
 _CHANCE, _SHORTEST, _EQUAL = 1e-9, 32, 1e-3
+# Largest share of held samples within a record that are left out.
+_MOST_HELD = 0.05
 # Share of equal neighbours above which a sensor is slower than its rows.
 _SLOWER = 0.5
 # Bits of the numbers that wrap, and the least distance of the wrapped samples, in standard deviations.
@@ -142,8 +144,15 @@ def _held(values: Values) -> Bool[np.ndarray, " samples"]:
     usual = lengths[lengths < _SHORTEST].sum() / len(values)
     chance = max(float(usual), _EQUAL)
     least = max(_SHORTEST, int(np.ceil(np.log(_CHANCE / len(values)) / np.log(chance))))
-    for first, end in runs[lengths >= least].tolist():
-        held[first:end] = True
+    long = runs[lengths >= least]
+    # A sensor that is often silent may null its output, which is no lost sample; what is silent at an end is
+    # no record.
+    at_end = (long[:, 0] <= 1) | (long[:, 1] == len(values))
+    if np.diff(long[~at_end]).sum() > _MOST_HELD * len(values):
+        long = long[at_end]
+    for first, end in long.tolist():
+        # The sample before is the last one, unless the record begins so.
+        held[0 if first == 1 else first : end] = True
     return held
 
 
