@@ -94,6 +94,17 @@ def test_numbers_that_have_wrapped_are_shifted_back(counts, read):
     assert noted(recording, "wrapped at 16 bits")
 
 
+def test_what_is_constant_at_an_end_is_no_record(counts, read):
+    """Whatever the constant is: zeros near the mean of gyros, or the last sample again and again."""
+    for constant in (0, counts[-301, :3]):
+        x = counts[:, :3].copy()
+        x[-300:] = constant
+        recording = read(np.hstack([x, counts[:, 3:]]))["gyro"]
+        # The first of the constant values may be a sample.
+        assert recording.n in (N - 300, N - 301)
+        np.testing.assert_array_equal(np.rint(recording.own_values), counts[: recording.n, :3])
+
+
 def test_a_value_that_is_held_for_seconds_is_no_sample(counts, read):
     x = counts.copy()
     x[5000:5600] = x[4999]

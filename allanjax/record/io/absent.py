@@ -148,11 +148,13 @@ def _held(values: Values) -> Bool[np.ndarray, " samples"]:
     # A sensor that is often silent may null its output, which is no lost sample; what is silent at an end is
     # no record.
     at_end = (long[:, 0] <= 1) | (long[:, 1] == len(values))
-    if np.diff(long[~at_end]).sum() > _MOST_HELD * len(values):
-        long = long[at_end]
-    for first, end in long.tolist():
-        # The sample before is the last one, unless the record begins so.
-        held[0 if first == 1 else first : end] = True
+    many = np.diff(long[~at_end]).sum() > _MOST_HELD * len(values)
+    for (first, end), outer in zip(long.tolist(), at_end.tolist(), strict=True):
+        if outer:
+            # Also the first of these values, which may be padding.
+            held[first - 1 : end] = True
+        elif not many:
+            held[first:end] = True
     return held
 
 
