@@ -79,15 +79,16 @@ def without_samples(values: Values, columns: Sequence[Column]) -> Absent:
             f"others: {what}; left out"
         )
     shifted = np.where(at, np.nan, values) if at.any() else values
-    for sensor in dict.fromkeys(column.sensor for column in columns):
-        own = np.array([column.sensor == sensor for column in columns])
+    axes_of: dict[Sensor | None, Bool[np.ndarray, " axes"]] = {}
+    for column in columns:
+        axes_of[column.sensor] = np.array([other.sensor == column.sensor for other in columns])
+    for sensor, own in axes_of.items():
         unwrapped, wrapped_notes = _unwrapped(shifted[:, own], sensor)
         if wrapped_notes:
             shifted = np.array(shifted)
             shifted[:, own] = unwrapped
             notes += wrapped_notes
-    for sensor in dict.fromkeys(column.sensor for column in columns):
-        own = np.array([column.sensor == sensor for column in columns])
+    for sensor, own in axes_of.items():
         held = _held(shifted[:, own])
         if held.any():
             at[:, own] |= held[:, None]
@@ -145,8 +146,8 @@ def _held(values: Values) -> Bool[np.ndarray, " samples"]:
     chance = max(float(usual), _EQUAL)
     least = max(_SHORTEST, int(np.ceil(np.log(_CHANCE / len(values)) / np.log(chance))))
     long = runs[lengths >= least]
-    # A sensor that is often silent may null its output, which is no lost sample; what is silent at an end is
-    # no record.
+    # A sensor that often holds its output may do so on purpose, so that these are its samples. What is held
+    # at an end of the record is none.
     at_end = (long[:, 0] <= 1) | (long[:, 1] == len(values))
     many = np.diff(long[~at_end]).sum() > _MOST_HELD * len(values)
     for (first, end), outer in zip(long.tolist(), at_end.tolist(), strict=True):

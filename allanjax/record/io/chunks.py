@@ -82,7 +82,9 @@ class ChunkedRecording:
     def __iter__(self) -> Iterator[Float[np.ndarray, "chunk axes"]]:
         labels = [column.label for column in self._part.layout.columns]
         place, count = self._part.table.source, 0
-        first, varies, silent = np.zeros(len(labels)), np.zeros(len(labels), bool), np.ones(len(labels), bool)
+        first = np.zeros(len(labels))
+        varies = np.zeros(len(labels), bool)
+        silent = np.ones(len(labels), bool)
         for axes, _, source in self._part.pieces(self.rate):
             pairs = zip(axes, labels, strict=True)
             values = np.column_stack([as_float(x, label, source) for x, label in pairs])
@@ -209,7 +211,8 @@ def _timed(
     part: "_PartOfFile", stamps: Columns, first: Columns, rate: float | None, options: ReadOptions
 ) -> _Opened:
     """Open samples with time stamps, of which these are the first."""
-    table, layout, source = part.table, part.layout, part.table.source
+    table, layout = part.table, part.layout
+    source = table.source
     clock = Clock.of(layout.clock, stamps, options.time_unit, rate, source)
     part = replace(part, clock=clock)
     columns = [first[column.index] for column in layout.columns]
@@ -262,7 +265,8 @@ class _PartOfFile:
         Time stamps are checked against their rate if it is known.
         Without stamps, times follow from the rate, which is then known.
         """
-        row, elapsed, before = 0, 0.0, np.zeros(0)
+        row, elapsed = 0, 0.0
+        before = np.zeros(0)
         last: Columns = ()
         for columns in self.table.rows(self.chunk):
             size, stamps = len(columns[0]), self.layout.stamps(columns)
@@ -289,8 +293,9 @@ class _PartOfFile:
 
     def _check_rate_kept(self, times: Seconds, source: Source) -> None:
         """Raise RecordingError if later times are unusable or have another rate than the first."""
+        assert self.clock is not None
         assert self.stamped is not None
-        label = self.layout.clock_label
+        label = self.clock.label
         later = Stamps(times, self.step, label, source, more=True).grid(
             None, gaps=False, uniform=False, force=False
         )

@@ -112,7 +112,7 @@ class Stamps:
             if not force:
                 self._refuse_excluded()
             return self._even(rate, "for evenly spaced samples")
-        pieces = self._pieces() if self._unsteadiness() > MAX_RATE_DIFFERENCE else []
+        pieces = self._pieces()
         if pieces:
             raise self._error(self._of_pieces(pieces), "rate")
         places, how = None, ""
@@ -199,8 +199,9 @@ class Stamps:
         # If there are many, late stamps cannot be identified by their neighbours.
         if not gaps or np.mean(long) <= _MANY_GAPS:
             long = gaps_in(times)
-        if long.any() and self.why_even():
-            return self._error("", "jitter")
+        how = self.why_even() if long.any() else ""
+        if how:
+            return self._even(rate, how)
         jitter, regular = float(np.std(intervals[~long])), float(np.mean(intervals[~long]))
         steps = np.where(long, np.maximum(np.rint(intervals / regular), 2.0), 1.0)
         on_grid, lost = float(np.std(intervals - steps * regular)), int(steps.sum()) - len(intervals)
@@ -287,7 +288,7 @@ class Stamps:
     def _pieces(self) -> list[Piece]:
         """Return the pieces of a record whose rate changes a few times; [] if it is steady, or drifts."""
         intervals = np.diff(self.seconds)
-        if len(intervals) < 4 * _BLOCKS:
+        if len(intervals) < 4 * _BLOCKS or self._unsteadiness() <= MAX_RATE_DIFFERENCE:
             return []
         usual = []
         for block in np.array_split(intervals, _BLOCKS):
@@ -325,7 +326,7 @@ class Stamps:
     def _refuse_excluded(self) -> None:
         """Raise RecordingError if the stamps exclude that samples are evenly spaced."""
         forced = "; if the stamps are wrong, add force=True (--force)"
-        pieces = self._pieces() if self._unsteadiness() > MAX_RATE_DIFFERENCE else []
+        pieces = self._pieces()
         if pieces:
             raise self._error(f"{self._of_pieces(pieces)}{forced}", "rate")
         lost = 0 if self.why_even() else self._lost()
@@ -402,7 +403,8 @@ class Stamps:
         intervals, uniform = np.diff(times), self._evenly()
         back = np.flatnonzero(intervals < 0.0)
         first = int(back[0] if back.size else np.argmax(intervals == 0.0)) + 1
-        what, why, segments = "repeats the previous time", "the stamps are too coarse", ""
+        what, why = "repeats the previous time", "the stamps are too coarse"
+        segments = ""
         if back.size:
             what = f"goes back by {-intervals[first - 1]:.6g} s"
             why = "late stamps" if uniform else "the clock was set, or packets are out of order"

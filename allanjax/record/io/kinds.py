@@ -57,7 +57,7 @@ def of_one_kind(table: Table, columns: Columns, options: ReadOptions) -> tuple[T
 
 
 def _labels(columns: Columns) -> tuple[str, ...]:
-    """Return the labels of columns without any: a kind, a time and three axes are told by their number."""
+    """Return labels for columns without names, by how many of them hold numbers."""
     numbers = sum(map(is_numeric, columns))
     names = {3: _AXES, 4: ("time", *_AXES)}.get(numbers, tuple(map(str, range(numbers))))
     own = iter(names)

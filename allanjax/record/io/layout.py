@@ -7,7 +7,7 @@ from contextlib import suppress
 from dataclasses import dataclass, replace
 
 import numpy as np
-from jaxtyping import Float, Shaped
+from jaxtyping import Shaped
 
 from allanjax.base.errors import UnitError
 from allanjax.record.columns import (
@@ -19,7 +19,6 @@ from allanjax.record.columns import (
     distinct,
     may_be_time,
     recognise,
-    scales_of,
     split_unit,
 )
 from allanjax.record.io.options import ReadOptions
@@ -84,11 +83,6 @@ class Layout:
         return cls(columns, axes, clock, auxiliary, _given(columns, options), every)
 
     @property
-    def clock_label(self) -> str:
-        """Label of the time stamps."""
-        return " + ".join(column.label for column in self.clock)
-
-    @property
     def without_clock(self) -> "Layout":
         """The layout of evenly spaced samples."""
         return replace(self, clock=())
@@ -96,10 +90,6 @@ class Layout:
     def stamps(self, columns: Columns) -> tuple[Shaped[np.ndarray, " rows"], ...]:
         """Return the time stamps in these columns of the table."""
         return tuple(columns[column.index] for column in self.clock)
-
-    def scales(self, rate: float) -> Float[np.ndarray, " axes"]:
-        """Factor of each axis from its own unit to the SI rate, at a sample rate [Hz]."""
-        return scales_of(self.axes, rate)
 
 
 def _is_channel(column: Column, values: Shaped[np.ndarray, " rows"]) -> bool:

@@ -115,7 +115,8 @@ class Record:
                 uniform=options.uniform,
                 force=options.force,
             )
-            part, rate, jitter = _on(grid, part), grid.rate, grid.jitter
+            part = _on(grid, part)
+            rate, jitter = grid.rate, grid.jitter
             notes.append(grid.note)
         if rate is None:
             raise no_rate_error(table.source)
