@@ -33,7 +33,7 @@ from allanjax.base.wording import duration as in_words
 from allanjax.base.wording import plain, significant
 from allanjax.record.columns import OfAxes
 from allanjax.record.completion import widening
-from allanjax.record.io.given import RecordingLike, samples_of
+from allanjax.record.io.given import RecordingLike, Samples, samples_of
 from allanjax.record.recording import Axis, Recording
 from allanjax.record.units import (
     default_coefficient_unit,
@@ -256,60 +256,82 @@ def allan_deviation(
         AllanjaxError: no positive rate, samples that are not finite, too few samples, an unknown option, one
             that the pyramid does not support, or a cluster time that the data do not allow.
     """
-    estimators.check_member(kind, Kind, "kind")
-    estimators.check_member(data_type, DataType, "data_type")
-    if estimator in get_args(Kind):
-        raise AllanjaxError(f'the {estimator} variance is a kind, not an estimator: give kind="{estimator}"')
-    estimators.check_member(estimator, Estimator, "estimator")
-    if kind == "modified" and not overlapping:
-        raise AllanjaxError("the modified Allan variance is defined for overlapping clusters only")
+    options = CurveOptions(kind, overlapping, cluster_times, estimator, data_type)
     if isinstance(data, Recording) and data_type != "rate":
         raise AllanjaxError("a recording holds rates: leave out data_type")
-    values, rate, axes = samples_of(data, rate, gyro_unit, accel_unit, names)
-    if estimator == "pyramid":
-        plain = (kind, data_type, overlapping) == ("allan", "rate", True)
-        if not (plain and isinstance(cluster_times, str) and cluster_times == "octave"):
+    found = samples_of(data, rate, gyro_unit, accel_unit, names)
+    return allan_of(found, options) if isinstance(found, Recording) else _curve(found, options)
+
+
+@dataclass(frozen=True)
+class CurveOptions:
+    """Kind of variance, cluster times and estimator of a curve, as for `allan_deviation`.
+
+    Raises:
+        AllanjaxError: an unknown option, or some that exclude each other.
+    """
+
+    kind: Kind = "allan"
+    overlapping: bool = True
+    cluster_times: Spacing = "octave"
+    estimator: Estimator = "exact"
+    data_type: DataType = "rate"
+
+    def __post_init__(self) -> None:
+        estimators.check_member(self.kind, Kind, "kind")
+        estimators.check_member(self.data_type, DataType, "data_type")
+        if self.estimator in get_args(Kind):
+            raise AllanjaxError(
+                f'the {self.estimator} variance is a kind, not an estimator: give kind="{self.estimator}"'
+            )
+        estimators.check_member(self.estimator, Estimator, "estimator")
+        if self.kind == "modified" and not self.overlapping:
+            raise AllanjaxError("the modified Allan variance is defined for overlapping clusters only")
+        usual = (self.kind, self.data_type, self.overlapping) == ("allan", "rate", True)
+        at_octaves = isinstance(self.cluster_times, str) and self.cluster_times == "octave"
+        if self.estimator == "pyramid" and not (usual and at_octaves):
             raise AllanjaxError(
                 "the pyramid supports only overlapping Allan variances of rates at its own sizes: leave out "
                 'kind, data_type, overlapping and cluster_times, or use estimator="exact"'
             )
-        return _of_recording(AllanDeviation.of_pyramid(Pyramid.of(values), rate, axes), data)
-    n = values.shape[0] - (data_type == "phase")
-    sizes = estimators.cluster_sizes(n, rate, cluster_times, kind)
-    options: dict[str, Any] = {"kind": kind, "overlapping": overlapping}
-    variance = estimators.allan_variance_estimates(values, sizes, rate, data_type=data_type, **options)
+
+
+def allan_of(recording: Recording, options: CurveOptions = CurveOptions()) -> AllanDeviation:
+    """Allan deviation of all segments of a recording, allowing for missing samples; see `allan_deviation`."""
+    curve = _curve(recording, options)
+    if recording.missing is not None:
+        curve = replace(curve, edf=curve.edf / widening(recording.missing) ** 2)
+    if not recording.others:
+        return curve
+    squares, total = curve.variance * curve.count[:, None], curve.count.copy()
+    for values in recording.others:
+        own = options
+        if curve.estimator == "exact":
+            there = len(curve._differences(len(values))[0])
+            own = replace(options, cluster_times=curve.cluster_time[:there])
+        found = _curve(Recording(values, recording.rate, recording.axes), own)
+        there = len(found.count)
+        squares[:there] += found.variance * found.count[:, None]
+        total[:there] += found.count
+    others = tuple(map(len, recording.others))
+    whole = replace(curve, deviation=np.sqrt(squares / total[:, None]), count=total, others=others)
+    return replace(whole, edf=curve.edf * whole.gain[:, None])
+
+
+def _curve(data: Recording | Samples, options: CurveOptions) -> AllanDeviation:
+    """Allan deviation of samples without gaps, of a recording the longest segment's."""
+    values, rate = data.values, data.rate
+    if options.estimator == "pyramid":
+        return AllanDeviation.of_pyramid(Pyramid.of(values), rate, data.axes)
+    n = len(values) - (options.data_type == "phase")
+    sizes = estimators.cluster_sizes(n, rate, options.cluster_times, options.kind)
+    kind: dict[str, Any] = {"kind": options.kind, "overlapping": options.overlapping}
+    variance = estimators.allan_variance_estimates(values, sizes, rate, data_type=options.data_type, **kind)
     # A sample that is not finite makes variances of its axis NaN: checking the samples first would take
     # longer.
     if not np.isfinite(variance).all():
         estimators.check_finite(values)
-    curve = AllanDeviation.under_white_noise(np.sqrt(variance), sizes, n, rate, axes=axes, **options)
-    return _of_recording(curve, data)
-
-
-def _of_recording(curve: AllanDeviation, data: RecordingLike) -> AllanDeviation:
-    """Curve of a recording's longest segment, allowing for missing samples, with its other segments."""
-    if not isinstance(data, Recording):
-        return curve
-    if data.missing is not None:
-        curve = replace(curve, edf=curve.edf / widening(data.missing) ** 2)
-    if not data.others:
-        return curve
-    squares, total = curve.variance * curve.count[:, None], curve.count.copy()
-    for values in data.others:
-        times: Spacing = curve.cluster_time[: len(curve._differences(len(values))[0])]
-        found = allan_deviation(
-            Recording(values, data.rate, data.axes),
-            kind=curve.kind,
-            overlapping=curve.overlapping,
-            cluster_times="octave" if curve.estimator == "pyramid" else times,
-            estimator=curve.estimator,
-        )
-        there = len(found.count)
-        squares[:there] += found.variance * found.count[:, None]
-        total[:there] += found.count
-    others = tuple(map(len, data.others))
-    whole = replace(curve, deviation=np.sqrt(squares / total[:, None]), count=total, others=others)
-    return replace(whole, edf=curve.edf * whole.gain[:, None])
+    return AllanDeviation.under_white_noise(np.sqrt(variance), sizes, n, rate, axes=data.axes, **kind)
 
 
 # Windows of a record by default, fewest samples of one, and least degrees of freedom that are kept.
@@ -422,8 +444,9 @@ def dynamic_allan(
     Raises:
         AllanjaxError: windows of fewer than 64 samples, or fewer than two of them.
     """
-    values, rate, axes = samples_of(data, rate, gyro_unit, accel_unit, names)
-    if axes is None:
+    found = samples_of(data, rate, gyro_unit, accel_unit, names)
+    values, rate = found.values, found.rate
+    if found.axes is None:
         raise AllanjaxError("dynamic_allan needs units: give gyro_unit= or accel_unit= for an array")
     length = len(values) // _WINDOWS if window is None else round(window * rate)
     count = len(values) // max(length, 1)
@@ -434,7 +457,7 @@ def dynamic_allan(
         )
     # Windows are columns: one shape for all axes.
     columns = [np.ascontiguousarray(x[: count * length].reshape(count, length).T) for x in values.T]
-    curves = [allan_deviation(x, rate) for x in columns]
+    curves = [_curve(Samples(x, rate), CurveOptions()) for x in columns]
     kept = curves[0].edf[:, 0] >= _LEAST_EDF
     return DynamicAllan(
         getattr(data, "name", ""),
@@ -443,5 +466,5 @@ def dynamic_allan(
         curves[0].cluster_time[kept],
         np.stack([curve.deviation[kept].T for curve in curves], axis=-1),
         curves[0].edf[kept, 0],
-        tuple(axes),
+        found.axes,
     )

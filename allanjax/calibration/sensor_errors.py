@@ -24,7 +24,6 @@ from allanjax.calibration.result import (
     place_of,
     six_positions,
 )
-from allanjax.estimate.likely_models import side_by_side
 from allanjax.estimate.result import Fit
 from allanjax.noise.model import Model
 from allanjax.noise.process import Process
@@ -72,7 +71,7 @@ def parts_of_model(model: Model, rate: float) -> tuple[Part, ...]:
 
 def parts_of_fit(fit: Fit, axis: str) -> tuple[Part, ...]:
     """The terms of an axis's fit, with their powers averaged over intervals and likely sets of terms."""
-    likely = side_by_side(fit.likely_models(axis, _DRAWS, np.random.default_rng(0)))
+    likely = fit.stated(axis).together(_DRAWS)
     parts = [part for term in likely.terms for part in parts_of_model(term, fit.curve.rate)]
     known = np.flatnonzero(likely.detected).tolist()
     return tuple((float(likely.power[:, k].mean()), parts[k][1]) for k in known)

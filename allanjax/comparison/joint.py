@@ -29,14 +29,14 @@ from allanjax.comparison.random_effects import Laws, RandomEffects, random_effec
 from allanjax.comparison.repeatability import AxisJoint, JointCoefficient, JointFit
 from allanjax.estimate.as_json import load_one
 from allanjax.estimate.axis_fits import check_terms
-from allanjax.estimate.design import AllanDesign, free_powers, free_shapes, model_to_fit
+from allanjax.estimate.design import AllanDesign, check_no_response, free_powers, free_shapes
 from allanjax.estimate.fit import fit, fit_curve
 from allanjax.estimate.inference import Hypotheses, estimate_of, reported, skewness_of
 from allanjax.estimate.result import AxisFit, Fit
 from allanjax.estimate.selection import AxisSelection, TermSet, pooled
 from allanjax.noise.estimate import Estimate
 from allanjax.noise.model import Model, ModelParameter
-from allanjax.noise.notation import ModelLike
+from allanjax.noise.notation import ModelLike, as_model
 from allanjax.noise.terms import Markov, basic_terms
 from allanjax.record.recording import Axis
 
@@ -115,7 +115,8 @@ def _of_axis(name: str, fits: Mapping[str, Fit], model: ModelLike | None) -> Axi
         choice = _chosen(name, fits, seen)
         every = basic_terms() + Markov()
         model = every.without([label for label in every.term_labels if label not in choice.terms])
-    terms = model_to_fit(model, [axis])
+    terms = as_model(model, [axis])
+    check_no_response(terms)
     check_terms(terms, "must be estimated from the record itself; leave it out of a joint fit")
     found = {t: gain for t, gain in choice.gains.items() if gain > _ODDS and t not in seen}
     rivals = {t: others for t, others in choice.rivals.items() if others and t in terms.term_labels}

@@ -15,7 +15,7 @@ import numpy as np
 from jaxtyping import Float
 
 from allanjax.base.errors import AllanjaxError, FitError
-from allanjax.base.wording import finite_or_none, plain
+from allanjax.base.wording import duration, finite_or_none, plain
 from allanjax.critic.common_mode import NAME, common_mode
 from allanjax.critic.comparison import CERTAIN, Comparison, compared, reported
 from allanjax.critic.effect import EVERYTHING, Effect, View, elsewhere, places_in
@@ -33,7 +33,7 @@ from allanjax.inspection import Inspection, inspect
 from allanjax.inspection.facts import NOT_A_MEASUREMENT, Fact
 from allanjax.noise.model import Model
 from allanjax.noise.terms import DriftRamp
-from allanjax.record.completion import in_time
+from allanjax.record.completion import in_time, rows_between
 from allanjax.record.held import between_changes
 from allanjax.record.recording import Axis, DeadAxis, Recording
 from allanjax.spectrum.cosine import fast_length
@@ -98,6 +98,11 @@ def criticize(
         found = tuple(pool.map(_guarded(judged, recording.axes, failed), range(len(searches))))
     _left(recording, failed)
     notes = [*fit.notes]
+    if recording.others:
+        notes.append(
+            f"effects are searched for in the longest segment, {duration(recording.duration)}; the fit from "
+            "which the critique starts uses all segments"
+        )
     notes += [
         f"{r.axis.name}: the fit failed ({r.reason}); critique starts from the most probable terms instead"
         for r in fit.results
@@ -157,14 +162,16 @@ def _undisturbed(recording: Recording, vibrating: bool) -> tuple[Recording, Insp
     if (start, stop) != whole:
         text = f"{seen.left_out}: the critique uses only {plain(start)} to {plain(stop)} s"
         facts.append(Fact("disturbances", text, recording.names, spans=((start, stop),)))
-        recording = recording.between(start, stop)
     elif seen.refusal:
         text = f"{seen.left_out}: the critique uses all samples, because too few would remain"
         facts.insert(0, Fact("disturbances", text, recording.names, NOT_A_MEASUREMENT))
-    if (fast := fast_length(recording.n)) < recording.n:
+    rows = rows_between(recording.n, recording.rate, start, stop)
+    fast = fast_length(rows.stop - rows.start)
+    if fast < recording.n:
         # Up to but not including the sample with this number.
-        cut = recording.between(0.0, (fast - 0.5) / recording.rate)
-        recording = dataclasses.replace(cut, notes=recording.notes)
+        cut = recording.between(start, (rows.start + fast - 0.5) / recording.rate)
+        others = recording.select(*cut.names).others
+        recording = dataclasses.replace(cut, others=others, places=(), notes=recording.notes)
     return recording, dataclasses.replace(seen, facts=tuple(facts), parts=(), lost={}, refusal="")
 
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 import numpy as np
 from jaxtyping import Bool, Float
 
-from allanjax.allan.deviation import AllanDeviation, allan_deviation
+from allanjax.allan.deviation import AllanDeviation, CurveOptions, allan_of
 from allanjax.allan.estimators import Spacing
 from allanjax.base.equality import ByValue
 from allanjax.base.errors import AllanjaxError
@@ -17,11 +17,11 @@ from allanjax.base.tables import Column, Tabled, columns_from
 from allanjax.base.threads import for_each
 from allanjax.base.wording import significant
 from allanjax.estimate.axis_fits import check_count, check_terms, solve_and_infer
-from allanjax.estimate.design import AllanDesign, model_to_fit
+from allanjax.estimate.design import AllanDesign, check_no_response
 from allanjax.estimate.inference import count_estimated, reported
 from allanjax.noise.estimate import usual_unit
 from allanjax.noise.model import Model
-from allanjax.noise.notation import ModelLike
+from allanjax.noise.notation import ModelLike, as_model
 from allanjax.record.recording import Recording
 from allanjax.record.units import unit_scale
 
@@ -147,7 +147,8 @@ def fit_many(
         AllanjaxError: no recordings, or of different lengths or rates; a modified or Hadamard curve.
     """
     curve = _curve_of(data, cluster_times)
-    template, variance = model_to_fit(model, curve.axes or ()), curve.variance.T
+    template, variance = as_model(model, curve.axes or ()), curve.variance.T
+    check_no_response(template)
     own = "is estimated from the record itself, not from Allan variances"
     check_terms(template, f"{own}; leave it out, or fit each recording with allanjax.fit")
     check_count(len(curve.cluster_size), "Allan variances", curve.n, template, "the curve")
@@ -201,7 +202,7 @@ def _curve_of(data: AllanDeviation | Sequence[Recording], cluster_times: Spacing
             )
         axes = [dataclasses.replace(axis, name=f"{name}/{axis.name}") for axis in recording.axes]
         alone = dataclasses.replace(recording, axes=tuple(axes), others=())
-        curves.append(allan_deviation(alone, cluster_times=cluster_times))
+        curves.append(allan_of(alone, CurveOptions(cluster_times=cluster_times)))
     deviation, edf = (np.hstack([getattr(curve, name) for curve in curves]) for name in ("deviation", "edf"))
     every = tuple(axis for curve in curves for axis in curve.axes or ())
     return dataclasses.replace(curves[0], deviation=deviation, edf=edf, axes=every)

@@ -38,11 +38,8 @@ from allanjax.base.linalg import CholeskyWhitened, non_negative_least_squares, w
 from allanjax.estimate.deterministic import InUse, Peaks
 from allanjax.estimate.evidence import power_fits
 from allanjax.noise.model import Model, ModelParameter
-from allanjax.noise.notation import ModelLike, as_model
 from allanjax.noise.process import Process, numbers_as_data
 from allanjax.noise.terms import NoiseTerm, Parameter
-from allanjax.record.columns import Column
-from allanjax.record.recording import Axis
 
 #: Farthest that a shape moves from its start, in ln: the record or dense starts locate it better than that;
 #: and the margin kept from its upper bound, which is open.
@@ -127,15 +124,13 @@ def _relative(mean: Any, covariance: Any, error: Any, of: AllanTangent | AllanDe
     return ridged / (mean[..., None] * mean[..., None, :]) + error[..., None, None] ** 2 * of.octaves
 
 
-def model_to_fit(model: ModelLike, axes: Iterable[Axis | Column] = (), with_response: bool = False) -> Model:
-    """Model as `as_model` makes it, for a fit to these axes; FitError if a response cannot be fitted here."""
-    found = as_model(model, axes)
-    if found.response is not None and not with_response:
+def check_no_response(model: Model) -> None:
+    """Raise FitError if a model has a response, which Allan variances do not determine."""
+    if model.response is not None:
         raise FitError(
-            f"a response ({found.response!r}) can only be estimated from a recording's spectrum; use "
+            f"a response ({model.response!r}) can only be estimated from a recording's spectrum; use "
             'objective="whittle" (--objective whittle), or leave it out'
         )
-    return found
 
 
 def of_owners(model: Model, of_terms: InUse) -> Bool[np.ndarray, "*axes owners"]:

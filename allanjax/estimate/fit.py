@@ -17,7 +17,7 @@ from typing import Literal, NamedTuple, get_args
 
 import numpy as np
 
-from allanjax.allan.deviation import AllanDeviation, allan_deviation
+from allanjax.allan.deviation import AllanDeviation, CurveOptions, allan_of
 from allanjax.base.cache import release_programs
 from allanjax.base.errors import AllanjaxError, FitError
 from allanjax.base.threads import for_each
@@ -32,7 +32,7 @@ from allanjax.estimate.axis_fits import (
     judged,
     with_curve,
 )
-from allanjax.estimate.design import model_to_fit
+from allanjax.estimate.design import check_no_response
 from allanjax.estimate.deterministic import (
     AxisSpectrum,
     Cosines,
@@ -48,6 +48,7 @@ from allanjax.estimate.deterministic import (
 from allanjax.estimate.exact import check_exact, fit_exact
 from allanjax.estimate.misfit import misfit_of
 from allanjax.estimate.result import AxisFit, Fit
+from allanjax.estimate.seen import with_what_was_seen
 from allanjax.estimate.selection import AxisSelection, TermSelection, candidates_in_record, rank_terms, ranked
 from allanjax.estimate.spectral import search
 from allanjax.estimate.spectral.components import MARKOV, NONE
@@ -66,9 +67,8 @@ from allanjax.estimate.spectral.model import (
 from allanjax.estimate.spectral.search import Record
 from allanjax.estimate.variation import with_variations
 from allanjax.inspection import Inspection, inspect
-from allanjax.inspection.facts import Fact, ordered
 from allanjax.noise.model import Model
-from allanjax.noise.notation import ModelLike
+from allanjax.noise.notation import ModelLike, as_model
 from allanjax.noise.terms import (
     Markov,
     NoiseTerm,
@@ -89,7 +89,7 @@ from allanjax.spectrum.cosine import cosine_transform, fast_length, joint_statis
 from allanjax.spectrum.peaks import MEDIAN, lines_in
 
 # Denser cluster times than octaves gain some 5 % in the middle of the curve, up to four per octave.
-_PER_OCTAVE = 4
+_CURVE = CurveOptions(cluster_times=4)
 Objective = Literal["allan", "whittle", "wavelet", "exact"]
 
 
@@ -166,8 +166,9 @@ def fit(
         return fit_curve(recording, model, objective)
     recording = as_recording(recording, rate, gyro_unit, accel_unit, names, gaps)
     regressors = (regressors,) if isinstance(regressors, str) else regressors
-    seen = inspected(recording, model, regressors, as_is, vibrating)
-    return fit_inspected(recording, seen, model, objective, regressors, plain, wavelet, as_is)
+    terms = None if model is None else as_model(model, recording.axes)
+    seen = inspected(recording, terms, regressors, as_is, vibrating)
+    return fit_inspected(recording, seen, terms, objective, regressors, plain, wavelet, as_is)
 
 
 def fit_curve(curve: AllanDeviation, model: ModelLike | None = None, objective: Objective = "allan") -> Fit:
@@ -176,7 +177,8 @@ def fit_curve(curve: AllanDeviation, model: ModelLike | None = None, objective: 
         raise AllanjaxError(f"a fit needs Allan deviations with units, not a {curve.kind} curve without axes")
     if objective != "allan":
         raise FitError(f'objective="{objective}" needs the record itself; leave it out for a curve')
-    template = basic_terms() if model is None else model_to_fit(model, curve.axes)
+    template = basic_terms() if model is None else as_model(model, curve.axes)
+    check_no_response(template)
     check_terms(template, "needs the record itself; leave it out for a curve")
     check_count(len(curve.cluster_size), "Allan variances", curve.n, template, curve.name)
     active = np.ones((len(curve.axes), len(template)), bool)
@@ -192,7 +194,7 @@ def fit_curve(curve: AllanDeviation, model: ModelLike | None = None, objective: 
 def fit_inspected(
     recording: Recording,
     seen: Inspection,
-    model: ModelLike | None,
+    model: Model | None,
     objective: Objective,
     regressors: Sequence[str] = (),
     plain: bool = False,
@@ -203,12 +205,11 @@ def fit_inspected(
     if objective not in get_args(Objective):
         told = ", ".join(f'"{name}"' for name in get_args(Objective))
         raise AllanjaxError(f"the objective must be one of {told}, not {objective!r}")
-    model = None if model is None else model_to_fit(model, recording.axes, with_response=True)
     quiet = recording if seen.refusal else seen.quiet(recording)
     channels = _regressors(quiet, regressors, objective)
     if seen.refusal:
         template, _ = terms_to_fit(model, None, recording.axes, objective)
-        curve = allan_deviation(recording, cluster_times=_PER_OCTAVE)
+        curve = allan_of(recording, _CURVE)
         none = tuple(AxisFit(axis, False, seen.refusal) for axis in seen.axes)
         fit = Fit(seen.name, template, curve, none, recording.notes, objective, dead=recording.dead)
         return with_what_was_seen(fit, seen)
@@ -227,10 +228,10 @@ def fit_inspected(
 
 
 def inspected(
-    recording: Recording, model: ModelLike | None, regressors: Sequence[str], as_is: bool, vibrating: bool
+    recording: Recording, model: Model | None, regressors: Sequence[str], as_is: bool, vibrating: bool
 ) -> Inspection:
     """Inspection of a recording for a fit of this model, under which the mean may move."""
-    terms = () if model is None else model_to_fit(model, recording.axes, with_response=True).terms
+    terms = () if model is None else model.terms
     timed = any(isinstance(term, Transient) for term in terms)
     may_move = timed or bool(regressors) or any(isinstance(term, Telegraph) for term in terms)
     # The time of a step counts from the first sample.
@@ -252,7 +253,7 @@ def _with_quiet_segments(quiet: Recording, count: int) -> Recording:
             kept += [part.values, *part.others]
     note = f"{touched} of {count + 1} segments: parts in which the sensor was touched are left out"
     notes = (*quiet.notes, note) if touched else quiet.notes
-    return dataclasses.replace(quiet, others=(*kept, *quiet.others[count:]), notes=notes)
+    return dataclasses.replace(quiet, others=(*kept, *quiet.others[count:]), places=(), notes=notes)
 
 
 def _joined(recording: Recording, template: Model, objective: Objective, regressors: Regressors) -> Recording:
@@ -267,7 +268,7 @@ def _joined(recording: Recording, template: Model, objective: Objective, regress
     note = f"joint fit of {len(lengths)} segments, {sum(lengths):,} samples, by Whittle's likelihood"
     if why := next((reason for reason, holds in reasons.items() if holds), ""):
         others, note = (), f"only the longest segment was fitted: {why}"
-    return dataclasses.replace(recording, others=others, notes=(*recording.notes, note))
+    return dataclasses.replace(recording, others=others, places=(), notes=(*recording.notes, note))
 
 
 def _fitted(
@@ -287,7 +288,7 @@ def _fitted(
     octaves = objective == "wavelet" and wavelet == "haar"
     joint, selection, notes = None, None, recording.notes
     with ThreadPoolExecutor(1) as pool:
-        pending = pool.submit(allan_deviation, recording, cluster_times="octave" if octaves else _PER_OCTAVE)
+        pending = pool.submit(allan_of, recording, CurveOptions() if octaves else _CURVE)
         if model is None or recording.others:
             # Segments are taken to be independent.
             joint = joint_statistics((values, *recording.others), rate)
@@ -345,59 +346,14 @@ def _exact(
     return tuple(results), (*recording.notes, *([note] if names else []))
 
 
-def with_what_was_seen(found: Fit, seen: Inspection) -> Fit:
-    """A fit with the results of its inspection: facts, parts, levels, and consequences for each axis."""
-    rate, results = found.curve.rate, []
-    facts = ordered(_left(fact, found) for fact in seen.facts)
-    for r in found.results:
-        k = [axis.name for axis in seen.axes].index(r.axis.name)
-        r = dataclasses.replace(r, mean=float(seen.mean[k]), rms=float(seen.rms[k]))
-        # A relative change of the power is half as large in the amplitude.
-        widened = (f for f in facts if f.consequence == "widened" and r.axis.name in f.axes)
-        share = sum(f.share or 0.0 for f in widened) / 2.0
-        r = r.allowing(share, float(seen.added_noise[k]) / np.sqrt(rate))
-        kinds = seen.why_not(r.axis.name)
-        r = _with_stated_misfit(r, found).with_misfits_felt(rate) if r.converged else r
-        results.append(r.unmeasured(not_measured=kinds) if r.converged and kinds else r)
-    return dataclasses.replace(
-        found, results=tuple(results), facts=facts, parts=seen.parts, notes=found.notes + seen.notes
-    )
-
-
-def _with_stated_misfit(result: AxisFit, found: Fit) -> AxisFit:
-    """The result with the misfit of the Allan deviation that the fit states, if it chose the terms.
-
-    It differs from that of the chosen terms where sets of terms are undecided.
-    """
-    if found.selection is None or result.worst is None or result.regression:
-        return result
-    curve, k = found.curve, found.axes.index(result.axis.name)
-    time = curve.cluster_time
-    ratio = curve.deviation[:, k] / found.model_deviation(result.axis.name, time)
-    misfit = misfit_of(time, ratio, curve.edf[:, k], "s")
-    if result.misfit is not None and result.misfit.unit == "s":
-        return dataclasses.replace(result, misfit=misfit)
-    return dataclasses.replace(result, other_misfit=misfit)
-
-
-def _left(fact: Fact, found: Fit) -> Fact:
-    """The fact; one about lines widens the intervals if no term of the axis's model describes them."""
-    result = found[fact.axes[0]] if fact.kind == "lines" else None
-    if result is None or not result.converged:
-        return fact
-    if any(term.narrow_band or isinstance(term, Sinusoid) for term in result.model.terms):
-        return fact
-    text = f"{fact.text}: no term of the model describes it; the intervals are widened accordingly"
-    return dataclasses.replace(fact, consequence="widened", text=text)
-
-
 def terms_to_fit(
-    model: ModelLike | None, selection: TermSelection | None, axes: Sequence[Axis], objective: Objective
+    model: Model | None, selection: TermSelection | None, axes: Sequence[Axis], objective: Objective
 ) -> tuple[Model, InUse]:
     """Model to fit, given or chosen, and the terms that each axis has."""
     if selection is None:
-        spectral = objective != "allan"
-        template = basic_terms() if model is None else model_to_fit(model, axes, with_response=spectral)
+        template = basic_terms() if model is None else model
+        if objective == "allan":
+            check_no_response(template)
         return _checked(template, objective), np.ones((len(axes), len(template)), bool)
     sets = [axis.chosen.terms for axis in selection.results]
     # A Markov process is in the template only if it is needed, as it costs time.

@@ -408,7 +408,7 @@ def _noises(fit: Fit | DataSheet, asked: Sequence[str] | None, seed: int) -> Ite
     if missing := [r for r in results if not r.measured]:
         raise FitError(f"{missing[0].axis.name}: {missing[0].verdict}")
     for r in results:
-        sets = fit.likely_models(r.axis.name, _DRAWS, np.random.default_rng(seed))
+        sets = fit.stated(r.axis.name).models(_DRAWS, np.random.default_rng(seed))
         yield _Noise(r.axis, r.coefficients, r.model, sets, r.lacking)
 
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 from jaxtyping import Float
 
@@ -24,7 +26,10 @@ def least_deviation(fit: Fit, of: AxisFit) -> tuple[Estimate, Estimate]:
     """
     time, name = _times(fit), of.axis.name
     stated = fit.model_deviation(name, time)
-    drawn = np.stack([fit.drawn_deviations(name, time, _DRAWS, below) for below in (False, True)])
+    # The odds of undecided sets depend on what is usual: hence also all terms anywhere below their limits.
+    likely = fit.stated(name)
+    alone = dataclasses.replace(likely, ranking=None)
+    drawn = np.stack([likely.drawn(time, _DRAWS), alone.drawn(time, _DRAWS)])
 
     def estimate(to: int, detected: bool) -> Estimate:
         draws = drawn[..., :to].min(axis=-1)

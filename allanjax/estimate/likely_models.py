@@ -8,6 +8,7 @@ The curve of a fit is that of its detected terms; where sets of terms are undeci
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from typing import NamedTuple, Protocol, TypeAlias
 
 import numpy as np
@@ -16,6 +17,7 @@ from jaxtyping import Bool, Float
 from allanjax.allan.deviation import AllanDeviation
 from allanjax.base.normal import TWO_SIDED_95
 from allanjax.estimate.evidence import information, power_fits
+from allanjax.estimate.misfit import Misfit
 from allanjax.estimate.selection import AxisSelection, TermSet
 from allanjax.noise.estimate import Estimate
 from allanjax.noise.model import Model, NoiseTerm
@@ -27,6 +29,8 @@ from allanjax.noise.terms import Markov, basic_terms
 _WIDEST, _TIMES = 1.5, 15
 # Share of further terms in a variance above which it says nothing of others.
 _MOSTLY = 0.5
+# Draws for the curve of a model and its interval.
+_DRAWS = 400
 
 
 _Times: TypeAlias = Float[np.ndarray, " t"]
@@ -41,6 +45,10 @@ class FittedAxis(Protocol):
     def coefficients(self) -> Mapping[str, Estimate]: ...
     @property
     def covariance(self) -> Float[np.ndarray, "params params"]: ...
+    @property
+    def worst(self) -> Misfit | None: ...
+    @property
+    def measured(self) -> bool: ...
 
 
 # Terms among which a fit chooses.
@@ -59,6 +67,10 @@ class Likely(NamedTuple):
     power: Float[np.ndarray, "draws terms"]
     detected: Bool[np.ndarray, " terms"]
     stated: Float[np.ndarray, " terms"]
+
+    def unit_variances(self, rate: float, cluster_time: _Times) -> Float[np.ndarray, "terms t"]:
+        """Allan variance of each term of unit amplitude at cluster times [s], sampled at `rate` [Hz]."""
+        return np.array([term.sampled(rate).allan_variance(cluster_time) for term in self.terms])
 
 
 def exact_model(model: Model, *others: Model) -> Likely:
@@ -87,26 +99,73 @@ def class_of(label: str, classes: Mapping[str, type[NoiseTerm]]) -> type[NoiseTe
     return classes[label if label in classes else label.rpartition("_")[0]]
 
 
-def likely_models(
-    found: FittedAxis,
-    ranking: AxisSelection | None,
-    curve: AllanDeviation,
-    column: int,
-    draws: int,
-    rng: np.random.Generator,
-) -> list[Likely]:
-    """Sets of terms, with draws in proportion to their probabilities; the first set is that of the fit.
+@dataclass(frozen=True, eq=False)
+class Statement:
+    """What the fit of an axis states with its intervals: likely models and their Allan deviation.
 
-    The fit is of an axis with this ranking of terms and this column of the curve.
+    Attributes:
+        found: the fit of the axis.
+        ranking: its ranking of terms, if the fit chose them.
+        curve: Allan deviations of the record.
+        column: the axis's column of the curve.
     """
-    if ranking is None:
-        return [_of_fit(found, draws, rng, alone=True)]
-    close = {s.terms: s for s in (ranking.chosen, *ranking.indistinguishable)}
-    weight = np.array([s.probability for s in close.values()])
-    first, *others = rng.multinomial(draws, weight / weight.sum()).tolist()
-    rivals = [(s, count) for s, count in zip(list(close.values())[1:], others, strict=True) if count]
-    own = _of_fit(found, max(first, 1), rng, alone=not rivals)
-    return [own, *(_of_curve(found, curve, column, *rival, rng) for rival in rivals)]
+
+    found: FittedAxis
+    ranking: AxisSelection | None
+    curve: AllanDeviation
+    column: int
+
+    def models(self, draws: int, rng: np.random.Generator) -> list[Likely]:
+        """Sets of terms, with draws in proportion to their probabilities; the first is that of the fit."""
+        if self.ranking is None:
+            return [_of_fit(self.found, draws, rng, alone=True)]
+        close = {s.terms: s for s in (self.ranking.chosen, *self.ranking.indistinguishable)}
+        weight = np.array([s.probability for s in close.values()])
+        first, *others = rng.multinomial(draws, weight / weight.sum()).tolist()
+        rivals = [(s, count) for s, count in zip(list(close.values())[1:], others, strict=True) if count]
+        own = _of_fit(self.found, max(first, 1), rng, alone=not rivals)
+        return [own, *(_of_curve(self.found, self.curve, self.column, *rival, rng) for rival in rivals)]
+
+    def together(self, draws: int = _DRAWS) -> Likely:
+        """The likely models side by side."""
+        return side_by_side(self.models(draws, np.random.default_rng(0)))
+
+    def deviation(self, cluster_time: _Times) -> Float[np.ndarray, "3 t"]:
+        """Allan deviation [rad/s or m/s²] at cluster times [s], and the ends of its 95 % interval.
+
+        It is that of the detected terms; where sets of terms are undecided, it is their average. The lower
+        end is that of the detected terms; the upper one includes those below a limit.
+        """
+        likely = self.together()
+        unit = likely.unit_variances(self.curve.rate, cluster_time)
+        stated = likely.stated @ unit
+        low = np.quantile(likely.power[:, likely.detected] @ unit[likely.detected], 0.025, axis=0)
+        high = np.quantile(likely.power @ unit, 0.975, axis=0)
+        curves = np.sqrt([stated, np.minimum(low, stated), np.maximum(high, stated)])
+        return self._as_measured(cluster_time, curves)
+
+    def density(self, frequency: Float[np.ndarray, " f"]) -> Float[np.ndarray, " f"]:
+        """One-sided density [rate²/Hz] of samples at frequencies [Hz], without lines."""
+        likely, rate = self.together(), self.curve.rate
+        density = np.zeros(len(frequency))
+        for power, term in zip(likely.stated, likely.terms, strict=True):
+            if not term.terms[0].deterministic:
+                density += 2.0 * power * np.asarray(term.sampled(rate).sampled_psd(frequency, rate))
+        return density
+
+    def drawn(self, cluster_time: _Times, draws: int) -> Float[np.ndarray, "draws t"]:
+        """Allan deviations [rad/s or m/s²] of likely models at cluster times [s]."""
+        likely = self.together(draws)
+        unit = likely.unit_variances(self.curve.rate, cluster_time)
+        return self._as_measured(cluster_time, np.sqrt(likely.power @ unit))
+
+    def _as_measured(
+        self, cluster_time: _Times, curves: Float[np.ndarray, "_ t"]
+    ) -> Float[np.ndarray, "_ t"]:
+        """Deviations within the 95 % band of the measured ones, if the model fits."""
+        if self.found.worst is not None or not self.found.measured or not self.curve.determined:
+            return curves
+        return np.clip(curves, *_band(self.curve, self.column, cluster_time))
 
 
 def _of_fit(found: FittedAxis, draws: int, rng: np.random.Generator, alone: bool) -> Likely:
@@ -201,7 +260,7 @@ def _factors(
     return np.exp(rng.multivariate_normal(np.zeros(len(scale)), covariance * np.outer(scale, scale), draws))
 
 
-def allowed(curve: AllanDeviation, column: int, cluster_time: _Times) -> tuple[_Times, _Times]:
+def _band(curve: AllanDeviation, column: int, cluster_time: _Times) -> tuple[_Times, _Times]:
     """Ends of the 95 % band of an axis's measured Allan deviation; none beyond the measured times [s].
 
     The band is one for all cluster times together (Bonferroni): those of an octave, which share most
@@ -217,15 +276,3 @@ def allowed(curve: AllanDeviation, column: int, cluster_time: _Times) -> tuple[_
         )
     )
     return low, high
-
-
-def curve_of(likely: Likely, rate: float, cluster_time: _Times) -> Float[np.ndarray, "3 t"]:
-    """Allan deviation that sets of terms state together, and the ends of its 95 % interval.
-
-    The lower end is that of the detected terms; the upper one includes those below a limit.
-    """
-    unit = np.array([term.sampled(rate).allan_variance(cluster_time) for term in likely.terms])
-    stated = likely.stated @ unit
-    low = np.quantile(likely.power[:, likely.detected] @ unit[likely.detected], 0.025, axis=0)
-    high = np.quantile(likely.power @ unit, 0.975, axis=0)
-    return np.sqrt([stated, np.minimum(low, stated), np.maximum(high, stated)])

@@ -18,14 +18,7 @@ from allanjax.base.errors import AllanjaxError, FitError
 from allanjax.base.late import presented
 from allanjax.base.tables import Column, PerAxis, as_text, column, columns_from, tables_of
 from allanjax.base.wording import chi_squared, duration, format_with_error, plain, record_size, significant
-from allanjax.estimate.likely_models import (
-    Likely,
-    allowed,
-    curve_of,
-    exact_model,
-    likely_models,
-    side_by_side,
-)
+from allanjax.estimate.likely_models import Statement, exact_model
 from allanjax.estimate.misfit import Misfit, deviation
 from allanjax.inspection.facts import Fact, listed, warnings_of, why_no_measurement
 from allanjax.noise.estimate import SYMBOLS, Estimate, called, title_of
@@ -511,15 +504,10 @@ class Fit(ByValue, PerAxis[AxisFit]):
         )
         return dataclasses.replace(self, results=results)
 
-    def likely_models(self, axis: str, draws: int, rng: np.random.Generator) -> list[Likely]:
-        """Sets of terms that the data do not distinguish, with draws of their powers; see `likely_models`."""
-        column = self.axes.index(axis)
+    def stated(self, axis: str) -> Statement:
+        """Likely models of an axis and their curves."""
         ranking = None if self.selection is None else self.selection[axis]
-        return likely_models(self[axis], ranking, self.curve, column, draws, rng)
-
-    def _stated(self, axis: str) -> Likely:
-        """Likely models of an axis side by side, which state its curve."""
-        return side_by_side(self.likely_models(axis, _DRAWS, np.random.default_rng(0)))
+        return Statement(self[axis], ranking, self.curve, self.axes.index(axis))
 
     def model_deviation(self, axis: str, cluster_time: ArrayLike) -> Float[np.ndarray, ...]:
         """Allan deviation [rad/s or m/s²] that the fit states at cluster times [s].
@@ -527,46 +515,8 @@ class Fit(ByValue, PerAxis[AxisFit]):
         It is that of the detected terms; where sets of terms are undecided, it is their average. Where the
         model fits, it stays within the measured curve's 95 % interval.
         """
-        return self.model_curve(axis, cluster_time)[0]
-
-    def model_curve(self, axis: str, cluster_time: ArrayLike) -> Float[np.ndarray, "3 ..."]:
-        """Allan deviation that the fit states, see `model_deviation`, and the ends of its 95 % interval."""
-        at = np.atleast_1d(np.asarray(cluster_time, float))
-        curves = curve_of(self._stated(axis), self.curve.rate, at)
-        return self._within(axis, at, curves).reshape(3, *np.shape(cluster_time))
-
-    def model_density(self, axis: str, frequency: Float[np.ndarray, " f"]) -> Float[np.ndarray, " f"]:
-        """One-sided density [rate²/Hz] of samples that the fit states at frequencies [Hz], without lines."""
-        likely, rate = self._stated(axis), self.curve.rate
-        density = np.zeros(len(frequency))
-        for power, term in zip(likely.stated, likely.terms, strict=True):
-            if not term.terms[0].deterministic:
-                density += 2.0 * power * np.asarray(term.sampled(rate).sampled_psd(frequency, rate))
-        return density
-
-    def drawn_deviations(
-        self, axis: str, cluster_time: Float[np.ndarray, " t"], draws: int, below_limits: bool = False
-    ) -> Float[np.ndarray, "draws t"]:
-        """Allan deviations [rad/s or m/s²] of likely models at cluster times [s].
-
-        With `below_limits` they are of the fit's terms, with all that are not detected anywhere below their
-        limits: where sets of terms are undecided, the probability of each depends on what is usual.
-        """
-        sets = self.likely_models(axis, draws, np.random.default_rng(0))
-        if below_limits:
-            own = self.axes.index(axis)
-            sets = likely_models(self[axis], None, self.curve, own, draws, np.random.default_rng(0))
-        likely = side_by_side(sets)
-        units = [term.sampled(self.curve.rate).allan_variance(cluster_time) for term in likely.terms]
-        return self._within(axis, cluster_time, np.sqrt(likely.power @ np.array(units)))
-
-    def _within(
-        self, axis: str, cluster_time: Float[np.ndarray, " t"], curves: Float[np.ndarray, "_ t"]
-    ) -> Float[np.ndarray, "_ t"]:
-        """Deviations within what the measured curve allows, if the model fits it."""
-        if self[axis].worst is not None or not self[axis].measured or not self.curve.determined:
-            return curves
-        return np.clip(curves, *allowed(self.curve, self.axes.index(axis), cluster_time))
+        at = np.asarray(cluster_time, float)
+        return self.stated(axis).deviation(np.atleast_1d(at))[0].reshape(at.shape)
 
     @presented
     def plot(
@@ -637,8 +587,6 @@ class Fit(ByValue, PerAxis[AxisFit]):
         return record_size(self.curve.n, self.curve.rate) + self.curve.describe_others()
 
 
-# Draws for the curve of a model and its interval.
-_DRAWS = 400
 #: Terms whose column a table of coefficients has even where they are not detected: N, B and K.
 MAIN = tuple(SYMBOLS)[:3]
 

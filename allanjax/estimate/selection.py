@@ -17,7 +17,7 @@ from allanjax.base.errors import AllanjaxError, FitError
 from allanjax.base.normal import TWO_SIDED_95
 from allanjax.base.tables import Column, PerAxis, columns_from
 from allanjax.base.wording import percent, plain
-from allanjax.estimate.design import correlation_times, model_to_fit
+from allanjax.estimate.design import check_no_response, correlation_times
 from allanjax.estimate.evidence import Ramps, TermSets, evidence, information, term_sets
 from allanjax.estimate.spectral.components import columns_of
 from allanjax.estimate.spectral.fit import chi_squared, error_of_powers, share_with_error
@@ -25,7 +25,7 @@ from allanjax.inspection import inspect
 from allanjax.inspection.facts import Fact, warnings_of
 from allanjax.noise.estimate import SYMBOLS, title_of
 from allanjax.noise.model import Model
-from allanjax.noise.notation import ModelLike
+from allanjax.noise.notation import ModelLike, as_model
 from allanjax.noise.terms import DriftRamp, Markov, basic_terms
 from allanjax.record.io.given import RecordingLike, as_recording
 from allanjax.record.recording import Axis, Recording
@@ -293,12 +293,13 @@ def select_terms(
         recording = recording.select(*([axes] if isinstance(axes, str) else axes))
     seen = inspect(recording)
     quiet = recording if seen.refusal else seen.quiet(recording)
-    return dataclasses.replace(ranked(quiet, candidates), facts=seen.facts)
+    terms = None if candidates is None else as_model(candidates)
+    return dataclasses.replace(ranked(quiet, terms), facts=seen.facts)
 
 
 def ranked(
     recording: Recording,
-    candidates: ModelLike | None = None,
+    candidates: Model | None = None,
     joint: tuple[Bins, SpectralStatistics] | None = None,
 ) -> TermSelection:
     """Ranking of the terms for a whole recording; see `select_terms`. `joint`: its statistics, if known."""
@@ -308,7 +309,8 @@ def ranked(
             "record at least 64 samples, or fit given terms (--terms)"
         )
     bins, statistics = joint or joint_statistics((recording.values, *recording.others), recording.rate)
-    model = candidates_for(bins.n) if candidates is None else model_to_fit(candidates)
+    model = candidates_for(bins.n) if candidates is None else candidates
+    check_no_response(model)
     return rank_terms(Candidates.of(model, bins), statistics, recording.axes, recording.name)
 
 

@@ -20,11 +20,13 @@ from allanjax.base.equality import equal
 from allanjax.base.errors import AllanjaxError, FitError, RecordingError, expect
 from allanjax.estimate.axis_fits import check_count, check_terms, fit_judged, fit_spectra, with_curve
 from allanjax.estimate.deterministic import AxisSpectrum
-from allanjax.estimate.fit import Objective, terms_to_fit, with_doubts, with_what_was_seen
+from allanjax.estimate.fit import Objective, terms_to_fit, with_doubts
 from allanjax.estimate.result import AxisFit, Fit
+from allanjax.estimate.seen import with_what_was_seen
 from allanjax.estimate.selection import Candidates, candidates_for, rank_terms
 from allanjax.inspection import Ends, Inspection, Windows, look
-from allanjax.noise.notation import ModelLike
+from allanjax.noise.model import Model
+from allanjax.noise.notation import ModelLike, as_model
 from allanjax.record.columns import Axis, DeadAxis, axes_of, recognise, scales_of
 from allanjax.record.io.chunks import ChunkedRecording
 from allanjax.record.validation import Source, real_numbers
@@ -238,9 +240,10 @@ class AllanAccumulator:
             FitError: too few samples; only dead axes; a line, resonance or transient, which needs the record
                 itself.
         """
-        return self.fit_inspected(self.inspect(as_is=as_is, vibrating=vibrating).uncut(), model, objective)
+        terms = None if model is None else as_model(model, self.axes)
+        return self.fit_inspected(self.inspect(as_is=as_is, vibrating=vibrating).uncut(), terms, objective)
 
-    def fit_inspected(self, inspection: Inspection, model: ModelLike | None, objective: Objective) -> Fit:
+    def fit_inspected(self, inspection: Inspection, model: Model | None, objective: Objective) -> Fit:
         """Fit of these samples, given their inspection; see `fit`."""
         if objective in ("wavelet", "exact"):
             raise FitError(f'objective="{objective}" needs the samples themselves; use "allan" or "whittle"')

@@ -144,7 +144,7 @@ class Inspection(ByValue):
         others = [completed(recording.values[part], lost[part])[:, kept] for part in rows.values()]
         alive = (x for x in others if (np.ptp(x, axis=0) > 0.0).all())
         everything = (*(x[:, kept] for x in recording.others), *alive)
-        return dataclasses.replace(_completed(quiet, lost[longest][:, kept]), others=everything)
+        return dataclasses.replace(_completed(quiet, lost[longest][:, kept]), others=everything, places=())
 
     def uncut(self) -> Inspection:
         """Return this inspection for accumulated samples: if parts must be left out, it is a refusal."""

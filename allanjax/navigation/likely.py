@@ -163,7 +163,7 @@ def sensors_of(data: NoiseLike, rate: float | None, seed: int) -> Sensors:
                 models = own.models(_DRAWS if fixed else _SHAPES)
                 sets = [exact_model(*models)] if fixed else list(map(exact_model, models))
             else:
-                sets = fit.likely_models(own.axis.name, _DRAWS, rng)
+                sets = fit.stated(own.axis.name).models(_DRAWS, rng)
             noise[own.axis.name] = AxisNoise(own.axis, sets, fit[own.axis.name].lacking)
         if not noise:
             raise FitError("no axis is a measurement of the sensor; allanjax characterize prints the reasons")

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 from jaxtyping import Float
 
-from allanjax.allan.deviation import AllanDeviation, allan_deviation
+from allanjax.allan.deviation import AllanDeviation, allan_of
 from allanjax.base.equality import ByValue
 from allanjax.base.errors import AllanjaxError
 from allanjax.base.late import presented
@@ -271,7 +271,7 @@ def _means(values: Float[np.ndarray, "n axes"], m: int) -> Float[np.ndarray, "k 
 
 
 def _curve(recording: Recording, m: int, values: Float[np.ndarray, "k axes"]) -> AllanDeviation:
-    return allan_deviation(Recording(values, recording.rate / m, recording.axes))
+    return allan_of(Recording(values, recording.rate / m, recording.axes))
 
 
 def _of_axis(

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, Literal, NamedTuple, TypeAlias
 import numpy as np
 from jaxtyping import Complex
 
-from allanjax.allan.deviation import AllanDeviation, allan_deviation
+from allanjax.allan.deviation import AllanDeviation, allan_of
 from allanjax.base.chi_squared import quantile
 from allanjax.base.errors import AllanjaxError
 from allanjax.base.wording import duration, without_error
@@ -110,7 +110,7 @@ def _fit_and_curve(data: Drawable) -> tuple[Fit | None, AllanDeviation]:
     if isinstance(data, Fit):
         return data, data.curve
     if isinstance(data, Recording):
-        return None, allan_deviation(data)
+        return None, allan_of(data)
     if isinstance(data, AllanDeviation):
         return None, data
     raise AllanjaxError(
@@ -162,7 +162,7 @@ def _draw_model(panel: Axes, fit: Fit, result: AxisFit, scale: float) -> tuple[d
         if label in styles:
             y, name = np.sqrt(term.allan_variance(time)) / scale, title_of(label, result.axis.sensor)
             (lines[label],) = panel.plot(time, y, label=name, **styles[label])
-    stated, low, high = fit.model_curve(result.axis.name, time) / scale
+    stated, low, high = fit.stated(result.axis.name).deviation(time) / scale
     panel.fill_between(time, low, high, **draw.model_band())
     return lines, panel.plot(time, stated, **draw.model_line())[0]
 

@@ -153,7 +153,7 @@ def _draw_model(panel: Axes, spectrum: PowerSpectrum, fit: Fit, result: AxisFit,
         elif look:
             for line in _line_of(term):
                 panel.axvline(line, label=name, **look)
-    total = fit.model_density(result.axis.name, frequency)
+    total = fit.stated(result.axis.name).density(frequency)
     panel.plot(frequency, total / scale, **draw.model_line())
 
 
@@ -200,7 +200,7 @@ def _mean_density(spectrum: PowerSpectrum, fit: Fit, result: AxisFit) -> Float[n
     spacing = 2.0 * spectrum.frequency[0] / (1.0 + spectrum.count[0])
     edges = spacing * (np.append(0.0, last) + 0.5)
     f = np.unique(np.concatenate([frequencies(spectrum, result.model), edges, spectrum.frequency]))
-    density = fit.model_density(result.axis.name, f)
+    density = fit.stated(result.axis.name).density(f)
     total = np.append(0.0, np.cumsum(0.5 * np.diff(f) * (density[1:] + density[:-1])))
     mean = np.diff(total[np.searchsorted(f, edges)]) / np.diff(edges)
     return np.where(spectrum.count == 1, density[np.searchsorted(f, spectrum.frequency)], mean)

@@ -133,12 +133,14 @@ def runs_of(mask: Bool[np.ndarray, " n"]) -> Int[np.ndarray, "runs 2"]:
     return np.flatnonzero(np.diff(mask, prepend=False, append=False)).reshape(-1, 2)
 
 
-def gaps_within(gaps: Iterable[Sequence[int]] | None, first: int, last: int) -> tuple[Gap, ...] | None:
-    """Return the parts of gaps between two samples, numbered from the first."""
+def gaps_within(
+    gaps: Iterable[Sequence[int]] | None, first: int, last: int, origin: int
+) -> tuple[Gap, ...] | None:
+    """Return the parts of gaps between two samples, numbered from the sample `origin`."""
     if gaps is None:
         return None
     inner = ((max(begin, first), min(begin + samples, last)) for begin, samples in gaps)
-    return tuple(Gap(begin - first, end - begin) for begin, end in inner if begin < end)
+    return tuple(Gap(begin - origin, end - begin) for begin, end in inner if begin < end)
 
 
 def rows_between(samples: int, rate: float, start: float | None, stop: float | None) -> slice:

@@ -13,7 +13,7 @@ from allanjax.base.equality import ByValue
 from allanjax.base.errors import RecordingError
 from allanjax.base.tables import as_html, columns_from, printable
 from allanjax.base.wording import duration
-from allanjax.record.columns import Axis, DeadAxis, axes_of, default_names, recognise, scales_of
+from allanjax.record.columns import Axis, DeadAxis, recognise, scales_of
 from allanjax.record.completion import (
     Gap,
     bridged,
@@ -30,12 +30,10 @@ from allanjax.record.io.record import Record
 from allanjax.record.io.table import Table, columns_of
 from allanjax.record.units import SI, Sensor
 from allanjax.record.validation import (
+    MIN_SAMPLES,
     Source,
-    as_columns,
     check_length,
-    check_names,
     check_values,
-    real_numbers,
 )
 
 if TYPE_CHECKING:
@@ -59,6 +57,8 @@ class Recording(ByValue):
             if there are none.
         others: other segments of the same record, separated by missing samples (`gaps="segments"`), in SI:
             Allan deviations and noise coefficients use all segments, everything else uses `values`.
+        places: number of the first sample of each of `others`, counted from that of `values`; empty if
+            unknown.
         gaps: where samples of the record are missing, either filled in or between segments; None if that is
             unknown without time stamps.
         begun: UNIX time of the first sample [s]; None if the time stamps do not tell it.
@@ -77,6 +77,7 @@ class Recording(ByValue):
     jitter: float | None = None
     missing: Bool[np.ndarray, "samples axes"] | None = None
     others: tuple[Float[np.ndarray, "_ axes"], ...] = ()
+    places: tuple[int, ...] = ()
     gaps: tuple[Gap, ...] | None = None
     begun: float | None = None
     given: Mapping[Sensor, float] = field(default_factory=lambda: MappingProxyType({}))
@@ -115,32 +116,16 @@ class Recording(ByValue):
                 finite, or no column that is not constant.
             UnitError: a unit is missing or unknown.
         """
-        source = Source(name or "array")
-        samples = as_columns(real_numbers(values, source), source)
-        columns, labels = tuple(samples.T), None if names is None else tuple(names)
-        if labels is not None:
-            check_names(labels, "names=", source)
-            if len(labels) != len(columns):
-                raise source.error(
-                    f"{len(labels)} names for {len(columns)} columns; give one per column in names="
-                )
-        extra = {key: np.asarray(column) for key, column in (auxiliary or {}).items()}
-        for key, column in extra.items():
-            if column.shape != samples.shape[:1]:
-                raise source.error(
-                    f"auxiliary column {key!r} has the shape {column.shape}, not ({len(samples)},)"
-                )
-        units: dict[Sensor, str | None] = {"gyro": gyro_unit, "accel": accel_unit}
-        notes: tuple[str, ...] = ()
-        if labels is None:
-            labels = default_names(len(columns), units, source)
-            notes = (f"column order taken as {', '.join(labels)}",)
-        sensors = {axis.sensor for axis in axes_of([recognise(label) for label in labels], units, source)[0]}
+        options = ReadOptions(rate, gyro_unit, accel_unit, gaps=gaps)
+        table = Table.of_array(values, names, auxiliary or {}, Source(name or "array"), options)
+        sensors = {recognise(label).sensor for label in table.labels or ()}
         # All columns are named, so that a unit without a use tells of no lost column.
-        used = {sensor: unit if sensor in sensors else None for sensor, unit in units.items()}
-        options = ReadOptions(gyro_unit=used["gyro"], accel_unit=used["accel"], gaps=gaps)
-        table = Table.of((*columns, *extra.values()), (*labels, *extra), source, rate, notes)
-        return recording_of(replace(table, auxiliary=frozenset(extra)), name, options)
+        options = replace(
+            options,
+            gyro_unit=gyro_unit if "gyro" in sensors else None,
+            accel_unit=accel_unit if "accel" in sensors else None,
+        )
+        return recording_of(table, name, options)
 
     @property
     def n(self) -> int:
@@ -232,8 +217,8 @@ class Recording(ByValue):
         columns = columns_of(frame)
         if columns is None:
             raise RecordingError(f"a {type(frame).__name__} is no data frame; give columns by name")
-        table = Table.of(tuple(columns.values()), tuple(columns), Source("data frame"))
-        return recording_of(table, "", ReadOptions(rate, gyro_unit, accel_unit, names, gaps=gaps))
+        options = ReadOptions(rate, gyro_unit, accel_unit, names, gaps=gaps)
+        return recording_of(Table.of_frame(columns), "", options)
 
     def select(self, *keys: str) -> "Recording":
         """Recording of the named axes, in this order; `gyro` or `accel` is all axes of that sensor.
@@ -269,29 +254,43 @@ class Recording(ByValue):
     def between(self, start: float | None = None, stop: float | None = None) -> "Recording":
         """Return the recording from `start` up to but not including `stop`, in s from the first sample.
 
+        Other segments are cut in the same way.
+
         Raises:
             RecordingError: fewer than 16 samples are left, or every axis is constant there.
         """
         source = Source(self.name or "recording")
         rows = rows_between(self.n, self.rate, start, stop)
         check_length(rows.stop - rows.start, source)
-        note = f"samples {rows.start:,} to {rows.stop - 1:,} of {self.n:,} read"
+        notes = [f"samples {rows.start:,} to {rows.stop - 1:,} of {self.n:,} read"]
         values = self.values[rows]
         values, axes, dead, left_out = _living(
             values, self.axes, values[0] / self.own_scales, self.names, source
         )
-        missing = self.missing
-        if missing is not None:
-            missing = missing[rows][:, [axis in axes for axis in self.axes]]
+        kept = [axis in axes for axis in self.axes]
+        missing = None if self.missing is None else self.missing[rows][:, kept]
+        others, places = [], []
+        for place, segment in zip(self.places, self.others, strict=False):
+            ends = (None if time is None else time - place / self.rate for time in (start, stop))
+            own = rows_between(len(segment), self.rate, *ends)
+            if own.stop - own.start >= MIN_SAMPLES:
+                others.append(segment[own][:, kept])
+                places.append(place + own.start - rows.start)
+        first = min((0, *places))
+        last = max(place + len(x) for place, x in zip((0, *places), (values, *others), strict=True))
+        if len(others) < len(self.others):
+            notes.append(f"{len(self.others) - len(others)} of {len(self.others)} other segments left out")
         return replace(
             self,
             values=values,
             axes=axes,
             missing=missing if missing is not None and missing.any() else None,
-            others=(),
-            gaps=gaps_within(self.gaps, rows.start, rows.stop),
+            others=tuple(others),
+            places=tuple(places),
+            gaps=gaps_within(self.gaps, rows.start + first, rows.start + last, rows.start),
+            begun=None if self.begun is None else self.begun + rows.start / self.rate,
             auxiliary=MappingProxyType({key: column[rows] for key, column in self.auxiliary.items()}),
-            notes=(*self.notes, note, *left_out),
+            notes=(*self.notes, *notes, *left_out),
             dead=(*self.dead, *dead),
         )
 
@@ -336,7 +335,11 @@ def _recording(table: Table, layout: Layout, record: Record, name: str) -> Recor
         values = completed(values, lost)
         notes += notes_on(lost, record.rate, [axis.name for axis in axes])
         gaps = gaps_of(lost)
-    others = [other[:, kept] for other in record.others]
+    others, places = [], []
+    for place, other in zip(record.places, record.others, strict=True):
+        if (np.ptp(other[:, kept], axis=0) > 0.0).all():
+            others.append(other[:, kept] * scales)
+            places.append(place)
     return Recording(
         values=values * scales,
         rate=record.rate,
@@ -347,7 +350,8 @@ def _recording(table: Table, layout: Layout, record: Record, name: str) -> Recor
         dead=dead,
         jitter=record.jitter,
         missing=lost if lost.any() else None,
-        others=tuple(x * scales for x in others if (np.ptp(x, axis=0) > 0.0).all()),
+        others=tuple(others),
+        places=tuple(places),
         gaps=gaps,
         begun=record.begun,
         given=MappingProxyType(dict(layout.given)),

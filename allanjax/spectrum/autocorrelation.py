@@ -196,8 +196,9 @@ def autocorrelation(
         AllanjaxError: no positive rate, samples that are not finite or constant, a longest lag beyond the
             record; a fit without a result for an axis, a model without a value.
     """
-    values, rate, axes = living_samples(data, rate, gyro_unit, accel_unit, names)
-    labels = names_of(axes, values.shape[1])
+    found = living_samples(data, rate, gyro_unit, accel_unit, names)
+    values, rate = found.values, found.rate
+    labels = names_of(found.axes, values.shape[1])
     n = len(values)
     longest = _LONGEST * n / rate if longest_lag is None else longest_lag
     lags = int(np.floor(longest * rate * (1.0 + 1e-9))) + 1
@@ -207,9 +208,11 @@ def autocorrelation(
         )
     pairs = n - np.arange(lags)
     value = np.stack([_sums(x - x.mean(), lags) / pairs for x in values.T], axis=1)
-    models = [None if model is None else model_of(model, axis) for axis in axes or labels]
+    models = [None if model is None else model_of(model, axis) for axis in found.axes or labels]
     errors, remarks = zip(*(_standard_error(m, n, rate, lags) for m in models), strict=True)
-    return Autocorrelation(np.arange(lags) / rate, value, np.stack(errors, axis=1), remarks, n, rate, axes)
+    return Autocorrelation(
+        np.arange(lags) / rate, value, np.stack(errors, axis=1), remarks, n, rate, found.axes
+    )
 
 
 def _sums(x: Float[np.ndarray, " n"], lags: int) -> Float[np.ndarray, " lags"]:

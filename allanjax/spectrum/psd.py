@@ -558,7 +558,8 @@ def power_spectrum(
 
     if method not in get_args(Method):
         raise AllanjaxError(f"unknown method {method!r}: expected 'logarithmic' or 'welch'")
-    values, rate, axes = living_samples(data, rate, gyro_unit, accel_unit, names)
+    found = living_samples(data, rate, gyro_unit, accel_unit, names)
+    values, rate = found.values, found.rate
     n = len(values)
     length = n
     if method == "welch":
@@ -590,7 +591,7 @@ def power_spectrum(
         window=window,
         segments=segments,
         correlation=ordinate_correlation(window, length, segments),
-        axes=axes,
+        axes=found.axes,
     )
     if method == "logarithmic":
         return replace(raw.averaged(), method=method)

@@ -383,7 +383,8 @@ def wavelet_variance(
         AllanjaxError: no positive rate, samples that are not finite or constant, too few for the levels, an
             unknown wavelet; PyWavelets is not installed ("haar" does not need it).
     """
-    values, rate, axes = living_samples(data, rate, gyro_unit, accel_unit, names)
+    found = living_samples(data, rate, gyro_unit, accel_unit, names)
+    values, rate = found.values, found.rate
     filters, n = WaveletFilter.of(wavelet), len(values)
     most = filters.most_levels(n)
     if levels is not None and not 1 <= levels <= most:
@@ -401,7 +402,7 @@ def wavelet_variance(
         n=n,
         rate=rate,
         wavelet=wavelet,
-        axes=axes,
+        axes=found.axes,
     )
 
 

@@ -91,7 +91,7 @@ def curves(fit: Fit) -> list[Chart]:
             k, result = curve.names.index(axis.name), fit[axis.name]
             points = measured(group, k, curve.cluster_time, curve.deviation, ends)
             if result.converged:
-                traces += _curve(points, result, curve.rate, time, fit.model_curve(axis.name, time))
+                traces += _curve(points, result, curve.rate, time, fit.stated(axis.name).deviation(time))
             else:
                 traces.append(points)
             marks += _marks(result, points)
@@ -181,7 +181,7 @@ def densities(fit: Fit, spectrum: PowerSpectrum, findings: Sequence[Finding]) ->
             points = measured(group, k, spectrum.frequency, spectrum.density, ends)
             if result.converged:
                 f = spectrum_figure.frequencies(spectrum, result.model)
-                traces += _curve(points, result, spectrum.rate, f, [fit.model_density(axis.name, f)])
+                traces += _curve(points, result, spectrum.rate, f, [fit.stated(axis.name).density(f)])
             else:
                 traces.append(points)
         spans = [*_places(findings, own, "frequency", 0.5 * spectrum.rate)]

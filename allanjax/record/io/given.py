@@ -2,6 +2,7 @@
 
 import os
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, TypeAlias, Union
 
 import numpy as np
@@ -9,11 +10,11 @@ from jaxtyping import ArrayLike, Float
 
 from allanjax.base.errors import AllanjaxError, RecordingError
 from allanjax.record.columns import names_of
-from allanjax.record.io import read
+from allanjax.record.io import read_recording
 from allanjax.record.io.chunks import ChunkedRecording
-from allanjax.record.io.options import GapChoice
-from allanjax.record.io.table import columns_of
-from allanjax.record.recording import Axis, Recording
+from allanjax.record.io.options import GapChoice, ReadOptions
+from allanjax.record.io.table import Table, columns_of
+from allanjax.record.recording import Recording, recording_of
 from allanjax.record.validation import Source, as_columns, check_rate, check_values, real_numbers
 
 if TYPE_CHECKING:
@@ -55,13 +56,12 @@ def as_recording(
                 f"a recording has its own rate, units and names, and no gaps: omit {', '.join(superfluous)}"
             )
         return data
+    options = ReadOptions(rate, gyro_unit, accel_unit, names, gaps=gaps)
     if isinstance(data, str | os.PathLike):
-        return read(data, rate=rate, gyro_unit=gyro_unit, accel_unit=accel_unit, columns=names, gaps=gaps)
+        return read_recording(data, options)
     columns = columns_of(data)
     if columns is not None:
-        return Recording.from_dataframe(
-            columns, rate, gyro_unit=gyro_unit, accel_unit=accel_unit, names=names, gaps=gaps
-        )
+        return recording_of(Table.of_frame(columns), "", options)
     values, rate = _samples(data, rate)
     if gyro_unit is None and accel_unit is None and names is None:
         raise AllanjaxError(
@@ -72,25 +72,33 @@ def as_recording(
     )
 
 
+@dataclass(frozen=True, eq=False)
+class Samples:
+    """Samples [samples, axes] in an array's own unit, and their rate [Hz]; there are no axes."""
+
+    values: Float[np.ndarray, "samples axes"]
+    rate: float
+    axes: None = None
+
+
 def samples_of(
     data: RecordingLike,
     rate: float | None = None,
     gyro_unit: str | None = None,
     accel_unit: str | None = None,
     names: Sequence[str] | None = None,
-) -> tuple[Float[np.ndarray, "samples axes"], float, tuple[Axis, ...] | None]:
-    """Return samples, rate [Hz] and axes of the data; axes are None for an array without units.
+) -> Recording | Samples:
+    """Return a recording as `as_recording` does, or the samples of an array without units.
 
     Raises:
         RecordingError, UnitError, AllanjaxError: as for `as_recording`; another shape.
     """
-    labelled = isinstance(data, Recording | str | os.PathLike) or columns_of(data) is not None
-    if labelled or not gyro_unit is accel_unit is names is None:
-        recording = as_recording(data, rate, gyro_unit, accel_unit, names)
-        return recording.values, recording.rate, recording.axes
-    samples, rate = _samples(data, rate)
+    bare = gyro_unit is accel_unit is names is None and not isinstance(data, Recording | str | os.PathLike)
+    if not bare or columns_of(data) is not None:
+        return as_recording(data, rate, gyro_unit, accel_unit, names)
+    values, rate = _samples(data, rate)
     source = Source("array")
-    return as_columns(samples, source), check_rate(rate, source), None
+    return Samples(as_columns(values, source), check_rate(rate, source))
 
 
 def living_samples(
@@ -99,12 +107,12 @@ def living_samples(
     gyro_unit: str | None,
     accel_unit: str | None,
     names: Sequence[str] | None,
-) -> tuple[Float[np.ndarray, "samples axes"], float, tuple[Axis, ...] | None]:
+) -> Recording | Samples:
     """Return `samples_of` the data; RecordingError if they are not finite, constant, or too few."""
-    values, rate, axes = samples_of(data, rate, gyro_unit, accel_unit, names)
-    name = data.name or "recording" if isinstance(data, Recording) else "array"
-    check_values(values, names_of(axes, values.shape[1]), Source(name))
-    return values, rate, axes
+    found = samples_of(data, rate, gyro_unit, accel_unit, names)
+    name = found.name or "recording" if isinstance(found, Recording) else "array"
+    check_values(found.values, names_of(found.axes, found.values.shape[1]), Source(name))
+    return found
 
 
 def _samples(data: Any, rate: float | None) -> tuple[np.ndarray, float]:

@@ -65,6 +65,7 @@ class Record:
         rate: sample rate [Hz].
         auxiliary: other columns by name.
         others: other segments of the record, separated by missing samples.
+        places: number of the first sample of each of these, counted from that of `values`.
         gaps: where samples are missing between segments; None if that is unknown without time stamps.
         jitter: rms jitter of the time stamps [s]; None without time stamps.
         begun: UNIX time of the first sample [s], if the stamps tell it.
@@ -77,6 +78,7 @@ class Record:
     rate: float
     auxiliary: Mapping[str, Float[np.ndarray, " samples"]]
     others: tuple[Values, ...]
+    places: tuple[int, ...]
     gaps: tuple[Gap, ...] | None
     jitter: float | None
     begun: float | None
@@ -128,6 +130,7 @@ class Record:
             rate,
             part.auxiliary,
             tuple(other.values for other in others),
+            tuple(round(float(other.seconds[0] - part.seconds[0]) * rate) for other in others),
             gaps,
             jitter,
             begun,

@@ -4,7 +4,7 @@ import re
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from importlib import import_module
 from pathlib import Path
 from typing import Any, TypeAlias
@@ -13,10 +13,16 @@ import numpy as np
 from jaxtyping import Float, Shaped
 
 from allanjax.base.errors import AllanjaxError, RecordingError
-from allanjax.record.columns import recognise
+from allanjax.record.columns import axes_of, default_names, recognise
 from allanjax.record.io.options import ReadOptions
 from allanjax.record.units import Sensor
-from allanjax.record.validation import Source, bad_cells, real_numbers
+from allanjax.record.validation import (
+    Source,
+    as_columns,
+    bad_cells,
+    check_names,
+    real_numbers,
+)
 
 #: Columns of equal length: numbers, datetime64, or objects where a text file has text.
 Columns: TypeAlias = tuple[Shaped[np.ndarray, " rows"], ...]
@@ -68,6 +74,45 @@ class Table:
                 yield tuple(column[first : first + chunk] for column in columns)
 
         return cls(rows, labels, source, n, rate, notes)
+
+    @classmethod
+    def of_frame(cls, columns: Mapping[str, np.ndarray]) -> "Table":
+        """Return the table of a data frame's columns."""
+        return cls.of(tuple(columns.values()), tuple(columns), Source("data frame"))
+
+    @classmethod
+    def of_array(
+        cls,
+        values: Any,
+        names: Sequence[str] | None,
+        auxiliary: Mapping[str, Any],
+        source: Source,
+        options: ReadOptions,
+    ) -> "Table":
+        """Return the table of an array of samples, one column per axis, with auxiliary columns beside them.
+
+        Raises:
+            RecordingError: another shape, or names or auxiliary columns that do not belong to it.
+        """
+        columns = tuple(as_columns(real_numbers(values, source), source).T)
+        extra = {key: np.asarray(column) for key, column in auxiliary.items()}
+        for key, column in extra.items():
+            if column.shape != columns[0].shape:
+                raise source.error(
+                    f"auxiliary column {key!r} has the shape {column.shape}, not {columns[0].shape}"
+                )
+        notes: tuple[str, ...] = ()
+        if names is None:
+            names = default_names(len(columns), options.units, source)
+            notes = (f"column order taken as {', '.join(names)}",)
+        check_names(names, "names=", source)
+        if len(names) != len(columns):
+            raise source.error(
+                f"{len(names)} names for {len(columns)} columns; give one per column in names="
+            )
+        axes_of([recognise(label) for label in names], options.units, source)
+        table = cls.of((*columns, *extra.values()), (*names, *extra), source, notes=notes)
+        return replace(table, auxiliary=frozenset(extra))
 
     def columns(self) -> Columns:
         """Return all rows."""
