@@ -96,7 +96,6 @@ class AllanDeviation(ByValue, OfAxes):
         cls, pyramid: Pyramid, rate: float, axes: tuple[Axis, ...] | None = None
     ) -> AllanDeviation:
         """Allan deviations from the sums of a pyramid over samples at `rate` [Hz]."""
-        estimators.check_enough(pyramid.n, "allan")
         of = np.sqrt(pyramid.variance()), pyramid.cluster_size, pyramid.n, rate
         return replace(cls.under_white_noise(*of, axes=axes, estimator="pyramid"), count=pyramid.count)
 

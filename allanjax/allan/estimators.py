@@ -574,7 +574,8 @@ class Pyramid:
         return np.array([count for count in counts if count > 0], int)
 
     def variance(self) -> Float[np.ndarray, "m axes"]:
-        """Allan variances at these, in the square of the samples' unit."""
+        """Allan variances at these, in the square of the samples' unit; AllanjaxError if there are none."""
+        check_enough(self.n, "allan")
         return self.sums[: len(self.count)] / (2 * self.count[:, None])
 
     def _held(self, k: int) -> tuple[_Blocks, _Blocks]:

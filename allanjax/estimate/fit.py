@@ -208,23 +208,41 @@ def fit_inspected(
     quiet = recording if seen.refusal else seen.quiet(recording)
     channels = _regressors(quiet, regressors, objective)
     if seen.refusal:
-        template, _ = terms_to_fit(model, None, recording.axes, objective)
-        curve = allan_of(recording, _CURVE)
-        none = tuple(AxisFit(axis, False, seen.refusal) for axis in seen.axes)
-        fit = Fit(seen.name, template, curve, none, recording.notes, objective, dead=recording.dead)
-        return with_what_was_seen(fit, seen)
-    if recording.others and not as_is:
-        quiet = _with_quiet_segments(quiet, len(recording.others))
-    if quiet.others:
-        quiet = _joined(quiet, model or Model(()), objective, channels)
+        found = _refused(recording, seen, model, objective)
+    else:
+        if recording.others and not as_is:
+            quiet = _with_quiet_segments(quiet, len(recording.others))
+        if quiet.others:
+            quiet = _joined(quiet, model or Model(()), objective, channels)
+        found = _widely(quiet, model, objective, channels, plain, wavelet)
+    return with_what_was_seen(found, seen)
+
+
+def _refused(recording: Recording, seen: Inspection, model: Model | None, objective: Objective) -> Fit:
+    """Fit without results of a recording that is not a measurement of the sensor at rest."""
+    template, _ = terms_to_fit(model, None, recording.axes, objective)
+    none = tuple(AxisFit(axis, False, seen.refusal) for axis in seen.axes)
+    curve, notes = allan_of(recording, _CURVE), recording.notes
+    return Fit(seen.name, template, curve, none, notes, objective, dead=recording.dead)
+
+
+def _widely(
+    quiet: Recording,
+    model: Model | None,
+    objective: Objective,
+    regressors: Regressors,
+    plain: bool,
+    wavelet: str,
+) -> Fit:
+    """Fit of all samples, with intervals that allow for those that were missing."""
     if quiet.missing is None or objective == "exact":
-        return with_what_was_seen(_fitted(quiet, model, objective, channels, plain, wavelet), seen)
+        return _fitted(quiet, model, objective, regressors, plain, wavelet)
     # The record is fitted as if complete; then intervals are widened.
     complete, by = dataclasses.replace(quiet, missing=None), widening(quiet.missing)
-    fit = _fitted(complete, model, objective, channels, plain, wavelet)
-    curve = dataclasses.replace(fit.curve, edf=fit.curve.edf / by**2)
-    results = tuple(map(AxisFit.widened, fit.results, by.tolist()))
-    return with_what_was_seen(dataclasses.replace(fit, curve=curve, results=results), seen)
+    found = _fitted(complete, model, objective, regressors, plain, wavelet)
+    curve = dataclasses.replace(found.curve, edf=found.curve.edf / by**2)
+    results = tuple(map(AxisFit.widened, found.results, by.tolist()))
+    return dataclasses.replace(found, curve=curve, results=results)
 
 
 def inspected(

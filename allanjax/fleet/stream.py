@@ -29,7 +29,8 @@ from allanjax.noise.model import Model
 from allanjax.noise.notation import ModelLike, as_model
 from allanjax.record.columns import Axis, DeadAxis, axes_of, recognise, scales_of
 from allanjax.record.io.chunks import ChunkedRecording
-from allanjax.record.validation import Source, real_numbers
+from allanjax.record.io.memory import real_numbers
+from allanjax.record.validation import Source
 from allanjax.spectrum.cosine import SegmentedLevel, SegmentSpectra
 
 # Samples that are processed at once: a call of a compiled program costs as much as many; more need memory.

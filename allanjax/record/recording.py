@@ -13,7 +13,7 @@ from allanjax.base.equality import ByValue
 from allanjax.base.errors import RecordingError
 from allanjax.base.tables import as_html, columns_from, printable
 from allanjax.base.wording import duration
-from allanjax.record.columns import Axis, DeadAxis, recognise, scales_of
+from allanjax.record.columns import Axis, DeadAxis, scales_of
 from allanjax.record.completion import (
     Gap,
     bridged,
@@ -25,14 +25,14 @@ from allanjax.record.completion import (
 )
 from allanjax.record.io.kinds import of_one_kind
 from allanjax.record.io.layout import Layout
+from allanjax.record.io.memory import columns_of, real_numbers, table_of, table_of_array
 from allanjax.record.io.options import GapChoice, ReadOptions
 from allanjax.record.io.record import Record
-from allanjax.record.io.table import Table, columns_of
+from allanjax.record.io.table import Table
 from allanjax.record.units import SI, Sensor
 from allanjax.record.validation import (
     MIN_SAMPLES,
     Source,
-    check_length,
     check_values,
 )
 
@@ -117,14 +117,8 @@ class Recording(ByValue):
             UnitError: a unit is missing or unknown.
         """
         options = ReadOptions(rate, gyro_unit, accel_unit, gaps=gaps)
-        table = Table.of_array(values, names, auxiliary or {}, Source(name or "array"), options)
-        sensors = {recognise(label).sensor for label in table.labels or ()}
-        # All columns are named, so that a unit without a use tells of no lost column.
-        options = replace(
-            options,
-            gyro_unit=gyro_unit if "gyro" in sensors else None,
-            accel_unit=accel_unit if "accel" in sensors else None,
-        )
+        source = Source(name or "array")
+        table = table_of_array(real_numbers(values, source), names, options, source, auxiliary)
         return recording_of(table, name, options)
 
     @property
@@ -214,11 +208,10 @@ class Recording(ByValue):
         Raises:
             RecordingError, UnitError: as for `read`.
         """
-        columns = columns_of(frame)
-        if columns is None:
+        if columns_of(frame) is None:
             raise RecordingError(f"a {type(frame).__name__} is no data frame; give columns by name")
         options = ReadOptions(rate, gyro_unit, accel_unit, names, gaps=gaps)
-        return recording_of(Table.of_frame(columns), "", options)
+        return recording_of(table_of(frame, options), "", options)
 
     def select(self, *keys: str) -> "Recording":
         """Recording of the named axes, in this order; `gyro` or `accel` is all axes of that sensor.
@@ -261,11 +254,9 @@ class Recording(ByValue):
         """
         source = Source(self.name or "recording")
         rows = rows_between(self.n, self.rate, start, stop)
-        check_length(rows.stop - rows.start, source)
         notes = [f"samples {rows.start:,} to {rows.stop - 1:,} of {self.n:,} read"]
-        values = self.values[rows]
         values, axes, dead, left_out = _living(
-            values, self.axes, values[0] / self.own_scales, self.names, source
+            self.values[rows], self.axes, self.own_scales, self.names, source
         )
         kept = [axis in axes for axis in self.axes]
         missing = None if self.missing is None else self.missing[rows][:, kept]
@@ -327,7 +318,7 @@ def _recording(table: Table, layout: Layout, record: Record, name: str) -> Recor
     if lost.any():
         values = np.array([bridged(*column) for column in zip(values.T, lost.T, strict=True)]).T
     labels = [column.label for column in layout.columns]
-    values, axes, dead, left_out = _living(values, axes, values[0], labels, record.source)
+    values, axes, dead, left_out = _living(values, axes, np.ones(len(axes)), labels, record.source)
     kept = [axis in axes for axis in layout.axes]
     scales, lost = scales_of(axes, record.rate), lost[:, kept]
     notes = (*table.notes, *layout.notes, *record.notes)
@@ -361,16 +352,16 @@ def _recording(table: Table, layout: Layout, record: Record, name: str) -> Recor
 def _living(
     values: Float[np.ndarray, "samples axes"],
     axes: Sequence[Axis],
-    first: Float[np.ndarray, " axes"],
+    scales: Float[np.ndarray, " axes"],
     labels: Sequence[str],
     source: Source,
 ) -> tuple[Float[np.ndarray, "samples living"], tuple[Axis, ...], tuple[DeadAxis, ...], tuple[str, ...]]:
     """Return the samples of living axes, these axes, the dead axes, and notes on these.
 
-    `first` are the first samples, in the axes' own units.
+    `scales` are the factors from the axes' own units to those of the samples.
     """
     living = check_values(values, labels, source)
-    every = zip(axes, first, living, strict=True)
+    every = zip(axes, values[0] / scales, living, strict=True)
     dead = tuple(DeadAxis.of(axis, float(value)) for axis, value, lives in every if not lives)
     notes = tuple(f"{d.axis.name} left out: {d.reason.partition(';')[0]}" for d in dead)
     return values[:, living] if dead else values, tuple(itertools.compress(axes, living)), dead, notes

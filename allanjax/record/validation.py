@@ -113,20 +113,6 @@ def check_values(
     return living
 
 
-def real_numbers(values: Any, source: Source) -> Float[np.ndarray, "*shape"]:
-    """Values as an array of floats, nan where a masked array has none.
-
-    Raises:
-        RecordingError: complex numbers.
-        TypeError, ValueError: other values than numbers.
-    """
-    if np.iscomplexobj(values):
-        raise source.error("complex numbers are no samples; give their real part or their magnitude")
-    if isinstance(values, np.ma.MaskedArray):
-        return np.ma.filled(values.astype(float), np.nan)
-    return np.asarray(values, dtype=float)
-
-
 def usable(values: Float[np.ndarray, "*shape"]) -> Bool[np.ndarray, "*shape"]:
     """Return which values are finite and not beyond `LARGEST`."""
     return np.abs(values) <= LARGEST

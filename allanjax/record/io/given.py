@@ -3,19 +3,18 @@
 import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, TypeAlias, Union
+from typing import TYPE_CHECKING, TypeAlias, Union
 
 import numpy as np
 from jaxtyping import ArrayLike, Float
 
-from allanjax.base.errors import AllanjaxError, RecordingError
+from allanjax.base.errors import AllanjaxError
 from allanjax.record.columns import names_of
 from allanjax.record.io import read_recording
-from allanjax.record.io.chunks import ChunkedRecording
+from allanjax.record.io.memory import columns_of, samples_in, table_of
 from allanjax.record.io.options import GapChoice, ReadOptions
-from allanjax.record.io.table import Table, columns_of
 from allanjax.record.recording import Recording, recording_of
-from allanjax.record.validation import Source, as_columns, check_rate, check_values, real_numbers
+from allanjax.record.validation import Source, as_columns, check_rate, check_values
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -59,17 +58,7 @@ def as_recording(
     options = ReadOptions(rate, gyro_unit, accel_unit, names, gaps=gaps)
     if isinstance(data, str | os.PathLike):
         return read_recording(data, options)
-    columns = columns_of(data)
-    if columns is not None:
-        return recording_of(Table.of_frame(columns), "", options)
-    values, rate = _samples(data, rate)
-    if gyro_unit is None and accel_unit is None and names is None:
-        raise AllanjaxError(
-            'an array needs the unit of its samples: pass gyro_unit= or accel_unit=, e.g. gyro_unit="deg/s"'
-        )
-    return Recording.from_array(
-        values, rate, gyro_unit=gyro_unit, accel_unit=accel_unit, names=names, gaps=gaps or "error"
-    )
+    return recording_of(table_of(data, options), "", options)
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,7 +85,7 @@ def samples_of(
     bare = gyro_unit is accel_unit is names is None and not isinstance(data, Recording | str | os.PathLike)
     if not bare or columns_of(data) is not None:
         return as_recording(data, rate, gyro_unit, accel_unit, names)
-    values, rate = _samples(data, rate)
+    values, rate = samples_in(data, rate)
     source = Source("array")
     return Samples(as_columns(values, source), check_rate(rate, source))
 
@@ -113,25 +102,3 @@ def living_samples(
     name = found.name or "recording" if isinstance(found, Recording) else "array"
     check_values(found.values, names_of(found.axes, found.values.shape[1]), Source(name))
     return found
-
-
-def _samples(data: Any, rate: float | None) -> tuple[np.ndarray, float]:
-    """Return the samples as an array of floats, and their rate, which must be given."""
-    remedy = (
-        "pass what allanjax.read returns, a data frame, or an array with rate= and gyro_unit= or accel_unit="
-    )
-    if isinstance(data, ChunkedRecording):
-        remedy = "use allanjax.accumulate(recording).fit(), or read all of it with allanjax.read"
-    kind = type(data).__name__
-    message = f"{'an' if kind[0] in 'AEIOaeio' else 'a'} {kind} is not a recording; {remedy}"
-    try:
-        values = real_numbers(data, Source("array"))
-    except RecordingError:
-        raise
-    except (TypeError, ValueError) as error:
-        raise AllanjaxError(message) from error
-    if values.ndim == 0:
-        raise AllanjaxError(message)
-    if rate is None:
-        raise AllanjaxError("an array needs its sample rate: pass rate= in Hz")
-    return values, rate

@@ -332,7 +332,7 @@ def _check_all_used(
     """Raise RecordingError if a unit was given that nothing has."""
     sensors = {column.sensor for column in axes}
     for sensor, unit in options.units.items():
-        if unit is not None and sensor not in sensors:
+        if unit is not None and sensor not in sensors and not table.complete:
             read = ", ".join(column.label for column in axes)
             others = "" if table.labels is None else f" among {', '.join(table.labels)}"
             name = "accelerometer" if sensor == "accel" else sensor

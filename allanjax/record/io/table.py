@@ -4,7 +4,7 @@ import re
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from importlib import import_module
 from pathlib import Path
 from typing import Any, TypeAlias
@@ -13,15 +13,11 @@ import numpy as np
 from jaxtyping import Float, Shaped
 
 from allanjax.base.errors import AllanjaxError, RecordingError
-from allanjax.record.columns import axes_of, default_names, recognise
 from allanjax.record.io.options import ReadOptions
 from allanjax.record.units import Sensor
 from allanjax.record.validation import (
     Source,
-    as_columns,
     bad_cells,
-    check_names,
-    real_numbers,
 )
 
 #: Columns of equal length: numbers, datetime64, or objects where a text file has text.
@@ -46,6 +42,7 @@ class Table:
         notes: actions of the reader that users should know; complete when all rows have been read.
         units: unit of each sensor as the format defines it, for use without a unit in labels or options.
         auxiliary: labels of columns that are no axes, whatever their names.
+        complete: whether all axes were named by the caller, so that no unit is meant for an unknown column.
     """
 
     rows: Callable[[int], Iterator[Columns]]
@@ -56,6 +53,7 @@ class Table:
     notes: Sequence[str] = ()
     units: Mapping[Sensor, str] = field(default_factory=dict)
     auxiliary: frozenset[str] = frozenset()
+    complete: bool = False
 
     @classmethod
     def of(
@@ -74,45 +72,6 @@ class Table:
                 yield tuple(column[first : first + chunk] for column in columns)
 
         return cls(rows, labels, source, n, rate, notes)
-
-    @classmethod
-    def of_frame(cls, columns: Mapping[str, np.ndarray]) -> "Table":
-        """Return the table of a data frame's columns."""
-        return cls.of(tuple(columns.values()), tuple(columns), Source("data frame"))
-
-    @classmethod
-    def of_array(
-        cls,
-        values: Any,
-        names: Sequence[str] | None,
-        auxiliary: Mapping[str, Any],
-        source: Source,
-        options: ReadOptions,
-    ) -> "Table":
-        """Return the table of an array of samples, one column per axis, with auxiliary columns beside them.
-
-        Raises:
-            RecordingError: another shape, or names or auxiliary columns that do not belong to it.
-        """
-        columns = tuple(as_columns(real_numbers(values, source), source).T)
-        extra = {key: np.asarray(column) for key, column in auxiliary.items()}
-        for key, column in extra.items():
-            if column.shape != columns[0].shape:
-                raise source.error(
-                    f"auxiliary column {key!r} has the shape {column.shape}, not {columns[0].shape}"
-                )
-        notes: tuple[str, ...] = ()
-        if names is None:
-            names = default_names(len(columns), options.units, source)
-            notes = (f"column order taken as {', '.join(names)}",)
-        check_names(names, "names=", source)
-        if len(names) != len(columns):
-            raise source.error(
-                f"{len(names)} names for {len(columns)} columns; give one per column in names="
-            )
-        axes_of([recognise(label) for label in names], options.units, source)
-        table = cls.of((*columns, *extra.values()), (*names, *extra), source, notes=notes)
-        return replace(table, auxiliary=frozenset(extra))
 
     def columns(self) -> Columns:
         """Return all rows."""
@@ -228,24 +187,3 @@ def as_float(
         text = repr(cell) + (" (write numbers with a decimal point)" if comma else "")
         raise bad_cells(label, bad.size, int(bad[0]), source, None if pd.isna(cell) else text)
     return numbers
-
-
-def columns_of(data: Any) -> dict[str, np.ndarray] | None:
-    """Return the columns of a data frame (and its index if that holds times) or a mapping; else None."""
-    if isinstance(data, Mapping):
-        columns = {str(label): _as_array(column, str(label)) for label, column in data.items()}
-        return columns if all(column.ndim for column in columns.values()) else None
-    if not hasattr(data, "columns"):
-        return None
-    columns = {}
-    index = data.index
-    label = str(index.name or ("time" if index.dtype.kind == "M" else ""))
-    if recognise(label).role == "time":
-        columns[label] = np.asarray(index)
-    return columns | {str(label): _as_array(data[label], str(label)) for label in data.columns}
-
-
-def _as_array(values: Any, label: str) -> np.ndarray:
-    """A column as an array; a masked or complex one as numbers."""
-    special = isinstance(values, np.ma.MaskedArray) or np.iscomplexobj(values)
-    return real_numbers(values, Source(f"column {label!r}")) if special else np.asarray(values)
