@@ -33,7 +33,7 @@ from allanjax.inspection import Inspection, inspect
 from allanjax.inspection.facts import NOT_A_MEASUREMENT, Fact
 from allanjax.noise.model import Model
 from allanjax.noise.terms import DriftRamp
-from allanjax.record.completion import in_time, rows_between
+from allanjax.record.completion import in_time
 from allanjax.record.held import between_changes
 from allanjax.record.recording import Axis, DeadAxis, Recording
 from allanjax.spectrum.cosine import fast_length
@@ -165,11 +165,11 @@ def _undisturbed(recording: Recording, vibrating: bool) -> tuple[Recording, Insp
     elif seen.refusal:
         text = f"{seen.left_out}: the critique uses all samples, because too few would remain"
         facts.insert(0, Fact("disturbances", text, recording.names, NOT_A_MEASUREMENT))
-    rows = rows_between(recording.n, recording.rate, start, stop)
-    fast = fast_length(rows.stop - rows.start)
+    first, last = round(start * recording.rate), round(stop * recording.rate)
+    fast = fast_length(last - first)
     if fast < recording.n:
         # Up to but not including the sample with this number.
-        cut = recording.between(start, (rows.start + fast - 0.5) / recording.rate)
+        cut = recording.between(start, (first + fast - 0.5) / recording.rate)
         others = recording.select(*cut.names).others
         recording = dataclasses.replace(cut, others=others, places=(), notes=recording.notes)
     return recording, dataclasses.replace(seen, facts=tuple(facts), parts=(), lost={}, refusal="")

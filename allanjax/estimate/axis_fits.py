@@ -58,8 +58,7 @@ from allanjax.noise.terms import Markov, PowerLaw, Resonance
 from allanjax.noise.terms.deterministic import Transient
 from allanjax.record.recording import Axis, Recording
 from allanjax.spectrum.cosine import smoothed
-from allanjax.wavelets.variance import WaveletFilter, mean_squares
-from allanjax.wavelets.variance import geometry_of as wavelet_geometry
+from allanjax.wavelets.variance import WaveletFilter, mean_squares, wavelet_geometry
 
 # Cluster sizes and terms to which a fit's arrays are padded: with four per octave, sizes of 6·10⁷ samples.
 ALLAN_CAPACITY = (96, 6)

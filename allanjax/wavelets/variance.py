@@ -428,7 +428,7 @@ def _filtered(
     return found
 
 
-def geometry_of(
+def wavelet_geometry(
     wavelet: WaveletFilter, levels: Int[np.ndarray, " m"], n: int, rate: float
 ) -> AllanCovariance:
     """Quadrature for the covariance of estimates at these levels, of twice the estimates for "haar"."""
@@ -445,7 +445,7 @@ def moments(
     for term in model.terms:
         if term.narrow_band or (term.deterministic and term.oscillates):
             raise AllanjaxError(f"wavelet variances do not support {term.name()}: leave it out of the model")
-    geometry = geometry_of(wavelet, levels, n, rate)
+    geometry = wavelet_geometry(wavelet, levels, n, rate)
     mean, covariance = _moments(geometry, numbers_as_data(model.sampled(rate).processes))
     m, scale = len(levels), 0.5 if wavelet.name == "haar" else 1.0
     return scale * np.asarray(mean)[:m], scale**2 * np.asarray(covariance)[geometry.place[:m, :m]]
