@@ -160,11 +160,14 @@ def _undisturbed(recording: Recording, vibrating: bool) -> tuple[Recording, Insp
     whole = 0.0, recording.duration
     start, stop = (seen.parts[0][0], seen.parts[-1][1]) if seen.parts else whole
     if (start, stop) != whole:
-        text = f"{seen.left_out}: the critique uses only {plain(start)} to {plain(stop)} s"
-        facts.append(Fact("disturbances", text, recording.names, spans=((start, stop),)))
+        means = f"the critique uses only {plain(start)} to {plain(stop)} s"
+        facts.append(
+            Fact("disturbances", seen.left_out, recording.names, spans=((start, stop),), meaning=means)
+        )
     elif seen.refusal:
-        text = f"{seen.left_out}: the critique uses all samples, because too few would remain"
-        facts.insert(0, Fact("disturbances", text, recording.names, NOT_A_MEASUREMENT))
+        means = "the critique uses all samples, because too few would remain"
+        refused = Fact("disturbances", seen.left_out, recording.names, NOT_A_MEASUREMENT, meaning=means)
+        facts.insert(0, refused)
     first, last = round(start * recording.rate), round(stop * recording.rate)
     fast = fast_length(last - first)
     if fast < recording.n:

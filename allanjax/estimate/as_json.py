@@ -50,6 +50,7 @@ _KEYS: Mapping[type, dict[str, str]] = {
     AxisFit: _keys("""mean_si=mean rms_si=rms converged dead= reason chi2 dof p_value discrepancy widening
         measured moving not_measured verdict=word misfit other_misfit coefficients= covariance= selection=
         selection_discrepancy= extension= regression="""),
+    Fact: _keys("kind text finding meaning remedy axes consequence size unit spans share"),
     Misfit: _keys("""of=curve largest_deviation=largest at at_unit=unit rms_deviation=rms
         octave_deviation=sustained scatter felt_by=felt"""),
     Estimate: _keys("label term symbol kind detected rivals held measured variation") | _NUMBERS,
@@ -268,7 +269,8 @@ def _fit(document: Mapping[str, Any], classes: _Classes) -> Fit:
         template=template,
         curve=measured,
         results=results,
-        facts=tuple(read(Fact, fact) for fact in document["facts"]),
+        # Older files have the text as a whole.
+        facts=tuple(read(Fact, {"finding": fact["text"], **fact}) for fact in document["facts"]),
         selection=TermSelection(of["name"], rankings) if chosen else None,
         dead=tuple(DeadAxis(read(Axis, a), a["reason"]) for a in document["axes"] if a["dead"]),
     )

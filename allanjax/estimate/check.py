@@ -273,7 +273,7 @@ class Check(ByValue, Tabled):
             "schema_version": SCHEMA_VERSION,
             "recording": {"name": self.name, "n": self.n, "rate_hz": self.rate, "duration_s": seconds},
             "verdict": self.verdict,
-            "lines": [dataclasses.asdict(line) for line in self.lines],
+            "lines": [dataclasses.asdict(line) | {"reason": line.reason} for line in self.lines],
             "lengths": [length.to_dict() for length in self.lengths],
         }
 
@@ -288,13 +288,12 @@ class Check(ByValue, Tabled):
 
     def _tables(self) -> list[list[Column]]:
         lines = self._of("stop", "look")
-        rows = [(line.name, line.verdict, line.reason.partition("; ")[0]) for line in lines]
+        rows = [(line.name, line.verdict, line.finding) for line in lines]
         return [columns_from(("check", "verdict", "reason"), rows)] if rows else []
 
     def _notes(self) -> Iterator[str]:
         for line in self._of("stop", "look"):
-            finding, _, rest = line.reason.partition("; ")
-            more = line.reason if len(finding) > _CELL else rest
+            more = line.reason if len(line.finding) > _CELL else line.advice
             # The lengths of all axes are in `lengths`, and in JSON.
             if more and not line.name.startswith("length for"):
                 yield f"{line.name}: {more}"
@@ -367,7 +366,7 @@ def _of_length(inspection: Inspection, lengths: Sequence[NeededLength]) -> Itera
             poorest = max(own, key=lambda length: length.relative_std)
             yield Line(name, "fine", f"{poorest}{', other axes better' * (len(own) > 1)}")
         else:
-            yield Line(name, "look", "; ".join([_in_short(symbol, left), *map(str, left)]))
+            yield Line(name, "look", _in_short(symbol, left), "; ".join(map(str, left)))
 
 
 def _in_short(symbol: str, lengths: Sequence[NeededLength]) -> str:

@@ -53,5 +53,5 @@ def _left(fact: Fact, found: Fit) -> Fact:
         return fact
     if any(term.narrow_band or isinstance(term, Sinusoid) for term in result.model.terms):
         return fact
-    text = f"{fact.text}: no term of the model describes it; the intervals are widened accordingly"
-    return dataclasses.replace(fact, consequence="widened", text=text)
+    means = "no term of the model describes it, and the intervals are widened accordingly"
+    return dataclasses.replace(fact, consequence="widened", meaning=means)

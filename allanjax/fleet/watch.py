@@ -222,10 +222,7 @@ class Watch:
     def _inspected(self, piece: AllanAccumulator) -> Inspection:
         seen = piece.inspect(as_is=self._options.as_is, vibrating=self._options.vibrating)
         # What follows is advice for files that have ended.
-        facts = (
-            replace(fact, text=fact.text.partition("; ")[0]) if fact.kind == "not examined" else fact
-            for fact in seen.facts
-        )
+        facts = (replace(fact, remedy="") if fact.kind == "not examined" else fact for fact in seen.facts)
         return replace(seen, facts=tuple(facts))
 
     def _fit(self, piece: AllanAccumulator, seen: Inspection) -> Fit:

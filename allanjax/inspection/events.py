@@ -542,35 +542,36 @@ class Treatment:
         return ", ".join(self._clause(kind, of) for kind, of in by_kind if of)
 
     @property
-    def refusal(self) -> str:
-        """Reason why there are no coefficients, in words; "" if there are."""
+    def refusal(self) -> Fact | None:
+        """Why there are no coefficients; None if there are."""
         if self.possible or not self.cut or self.as_is:
-            return ""
-        events = self.describe(self.cut)
+            return None
         if self.doubt:
-            return (
-                f"{events}; the quiet part may not be the sensor: {self.doubt}; select a part with "
-                f"{self._choice()}"
+            means = f"no coefficients, as the quiet part may not be the sensor: {self.doubt}"
+            remedy = f"select a part with {self._choice()}"
+        else:
+            a, b = max(self.quiet, key=lambda part: part[1] - part[0])
+            longest = span(a / self.rate, b / self.rate, grid(self.n / self.rate))
+            means = (
+                f"no coefficients, as the undisturbed parts are less than {100.0 * _LEAST_SHARE:.0f} % of "
+                f"the recording (the longest is {longest})"
             )
-        a, b = max(self.quiet, key=lambda part: part[1] - part[0])
-        longest = span(a / self.rate, b / self.rate, grid(self.n / self.rate))
-        return (
-            f"{events}; the undisturbed parts are less than {100.0 * _LEAST_SHARE:.0f} % of the recording "
-            f"(the longest is {longest}): {_REMEDY}"
-        )
+            remedy = _REMEDY
+        names = tuple(axis.name for axis in self.axes)
+        fact = self._fact(self.cut, names, "not a measurement", self.describe(self.cut), means)
+        return dataclasses.replace(fact, remedy=remedy)
 
-    def facts(self, refusal: str) -> list[Fact]:
+    def facts(self, refusal: Fact | None) -> list[Fact]:
         """Return facts about the events that matter, including why there are no coefficients."""
         facts, every = [], tuple(axis.name for axis in self.axes)
         if self.cut and refusal:
-            facts.append(self._fact(self.cut, every, "not a measurement", f"no coefficients: {refusal}"))
+            facts.append(refusal)
         elif self.cut:
             step, parts = grid(self.n / self.rate), self.parts
             used = listed([span(*part, step) for part in parts], len(parts))
             then = f"coefficients are estimated from {used}" if used else "all samples are used"
-            text = f"{self.describe(self.cut)}; {then}"
             out = self.n / self.rate - sum(b - a for a, b in parts) if parts else None
-            fact = self._fact(self.cut, every, "none", text)
+            fact = self._fact(self.cut, every, "none", self.describe(self.cut), then)
             facts.append(dataclasses.replace(fact, size=out, unit="s"))
         for name, own in self._alone().items():
             then, consequence = "all samples are used", "none"
@@ -579,8 +580,8 @@ class Treatment:
             elif not self.as_is:
                 then = f"this is more than {100.0 * MOST_MISSING:.0f} % of the axis, too much to be filled in"
                 consequence = "not a measurement"
-            text = f"{name} only: {self.describe(own).replace(f' ({name})', '')}; {then}"
-            facts.append(self._fact(own, (name,), consequence, text))  # type: ignore[arg-type]
+            text = f"{name} only: {self.describe(own).replace(f' ({name})', '')}"
+            facts.append(self._fact(own, (name,), consequence, text, then))  # type: ignore[arg-type]
         return facts
 
     def _choice(self) -> str:
@@ -599,10 +600,15 @@ class Treatment:
         return {name: [e for e in self.alone if self.axes[e.axes[0]].name == name] for name in names}
 
     def _fact(
-        self, events: Sequence[Event], names: tuple[str, ...], consequence: Consequence, text: str
+        self,
+        events: Sequence[Event],
+        names: tuple[str, ...],
+        consequence: Consequence,
+        finding: str,
+        meaning: str,
     ) -> Fact:
         spans = tuple((e.first / self.rate, e.last / self.rate) for e in events)
-        return Fact("disturbances", text, names, consequence, spans=spans)
+        return Fact("disturbances", finding, names, consequence, spans=spans, meaning=meaning)
 
     def _clause(self, kind: str, events: Sequence[Event]) -> str:
         """Return a clause about all events of one kind."""

@@ -42,23 +42,37 @@ class Fact(ByValue):
 
     Attributes:
         kind: name of the check, as in `check`, e.g. "saturation" or "accel unit".
-        text: what was found and where; after the first semicolon what it means and what to do.
+        finding: what was found and where, in words.
         axes: names of the affected axes.
         consequence: effect on their coefficients: "none"; "widened" intervals; or "not a measurement" of the
             sensor, with coefficients that have no standard deviation and no interval.
         size, unit: how large it is; None and "" if no single number describes it.
         spans: where it is, as times in s from the first sample; empty for the whole recording.
         share: share of spectral lines in the power of the axis, drift excluded.
+        meaning: what follows for the samples or the estimates, in words.
+        remedy: what to do about it, in words.
     """
 
     kind: str
-    text: str
+    finding: str
     axes: tuple[str, ...]
     consequence: Consequence = "none"
     size: float | None = None
     unit: str = ""
     spans: tuple[tuple[float, float], ...] = ()
     share: float | None = None
+    meaning: str = ""
+    remedy: str = ""
+
+    @property
+    def advice(self) -> str:
+        """Meaning and remedy."""
+        return "; ".join(filter(None, (self.meaning, self.remedy)))
+
+    @property
+    def text(self) -> str:
+        """Finding, meaning and remedy."""
+        return "; ".join(filter(None, (self.finding, self.advice)))
 
     @property
     def grave(self) -> bool:

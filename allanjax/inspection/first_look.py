@@ -32,6 +32,7 @@ from allanjax.inspection.plausible import (
 )
 from allanjax.inspection.spectral import spectral_facts
 from allanjax.inspection.windows import (
+    IN_MOTION,
     OfAxes,
     Samples,
     Values,
@@ -47,10 +48,8 @@ from allanjax.record.completion import bridged, completed
 from allanjax.record.recording import Axis, DeadAxis, Recording
 from allanjax.record.units import rate_unit_of
 
-_NOT_EXAMINED = (
-    "not examined in a stream: outliers, lines, interpolated samples, temperature; to check these, read a "
-    "part of the file as a whole (--start, --stop)"
-)
+_NOT_EXAMINED = "not examined in a stream: outliers, lines, interpolated samples, temperature"
+_EXAMINED = "to check these, read a part of the file as a whole (--start, --stop)"
 # Standard deviations beyond which a sample is an outlier: Gaussian noise has one in 10⁹ samples.
 _FAR = 6.0
 # Samples on either side that are compared, and the most outliers within that distance.
@@ -151,15 +150,18 @@ class Inspection(ByValue):
         if self.longest_part is None:
             return self
         start, stop = (f"{time:.6g}" for time in self.longest_part)
-        refusal = (
-            f"{self.left_out}; accumulated samples cannot be left out: read the undisturbed part "
-            f"{span(*self.longest_part, grid(self.n / self.rate))} again with start={start}, stop={stop} "
-            f"(--start {start} --stop {stop}), or use all samples with as_is=True (--as-is)"
+        means = "no coefficients, as accumulated samples cannot be left out"
+        remedy = (
+            f"read the undisturbed part {span(*self.longest_part, grid(self.n / self.rate))} again with "
+            f"start={start}, stop={stop} (--start {start} --stop {stop}), or use all samples with as_is=True "
+            "(--as-is)"
         )
-        facts = [f for f in self.facts if f.kind != "disturbances" or f.consequence != "none"]
         names = tuple(axis.name for axis in self.axes)
-        refused = Fact("disturbances", f"no coefficients: {refusal}", names, "not a measurement")
-        return dataclasses.replace(self, parts=(), refusal=refusal, facts=ordered([*facts, refused]))
+        facts = [f for f in self.facts if f.kind != "disturbances" or f.consequence != "none"]
+        refused = Fact(
+            "disturbances", self.left_out, names, "not a measurement", meaning=means, remedy=remedy
+        )
+        return dataclasses.replace(self, parts=(), refusal=refused.text, facts=ordered([*facts, refused]))
 
     def __str__(self) -> str:
         head = f"{self.name or 'recording'}: {record_size(self.n, self.rate)}"
@@ -263,17 +265,19 @@ def look(
     if shown := tuple(dict.fromkeys(names[m.axis] for m in moving)):
         # If two axes show motion, all axes move.
         concerned = shown if len(shown) == 1 else names
-        text = motion_warning(moving, axes, bool(refusal))
-        facts.append(Fact("at rest", text, concerned, "not a measurement"))
+        finding, remedy = motion_warning(moving, axes, bool(refusal))
+        facts.append(
+            Fact("at rest", finding, concerned, "not a measurement", meaning=IN_MOTION, remedy=remedy)
+        )
         # The warning about motion comes first and is reason enough.
-        refusal = ""
+        refusal = None
     if parts and recording is not None:
         inside = np.any([(recording.time >= a) & (recording.time < b) for a, b in parts], axis=0)
         spikes = [at & inside for at in spikes]
     if recording is None:
         more, steps = resolved(part, axes, None)
         added_noise = steps / np.sqrt(12.0)
-        more += [*dead_facts(dead), Fact("not examined", _NOT_EXAMINED, names)]
+        more += [*dead_facts(dead), Fact("not examined", _NOT_EXAMINED, names, remedy=_EXAMINED)]
         more += [] if ends is None else saturated(axes, ends, steps)
     else:
         more, steps, added_noise = _of_samples(recording, part, longest, spikes, treatment.lost)
@@ -291,7 +295,7 @@ def look(
         rms,
         parts,
         lost,
-        refusal,
+        refusal.text if refusal else "",
         ordered([*facts, *treatment.facts(refusal), *short(part.n, rate, axes), *more]),
         (f"{harmless}; kept, since no coefficient changes by more than its interval allows",)
         if harmless
@@ -332,11 +336,10 @@ def _of_samples(
             if _is_trifle(outliers[k], x):
                 continue
             rms, share = float(np.sqrt(outliers[k])), plain(100.0 * count / len(x), 2)
-            text = (
-                f"{count} samples of {axis.name} ({share} %) are too large for Gaussian noise; they are "
-                f"kept, and the interval of N is widened for the {amount(rms, axis)} rms that they add"
-            )
-            facts.append(Fact("spikes", text, (axis.name,), "widened", rms))
+            text = f"{count} samples of {axis.name} ({share} %) are too large for Gaussian noise"
+            added = amount(rms, axis)
+            means = f"they are kept, and the interval of N is widened for the {added} rms that they add"
+            facts.append(Fact("spikes", text, (axis.name,), "widened", rms, meaning=means))
     added_noise = np.sqrt(steps**2 / 12.0 + outliers)
     single = (fact for fact in _spike_facts(recording, whole, spikes) if not grave.issuperset(fact.axes))
     return [*facts, *single], steps, added_noise
@@ -387,9 +390,10 @@ def _spike_facts(recording: Recording, without: Values, spikes: Sequence[Which])
         share = f" ({plain(100.0 * float(at.mean()), 1)} %)" if at.mean() >= TRIFLE else ""
         single = f"{len(places)} outlying samples" if len(places) > 1 else "1 outlying sample"
         size = amount(off, axis, 3)
-        text = f"{single} on {axis.name}{share}, up to {size} off; left out and filled in at {where}"
+        text = f"{single} on {axis.name}{share}, up to {size} off"
         spans = tuple((time, time + 1.0 / recording.rate) for time in places)
-        yield Fact("spikes", text, (axis.name,), "widened", off, "", spans)
+        means = f"left out and filled in at {where}"
+        yield Fact("spikes", text, (axis.name,), "widened", off, "", spans, meaning=means)
 
 
 def _completed(recording: Recording, lost: Bool[np.ndarray, "n axes"]) -> Recording:
@@ -460,12 +464,22 @@ _LEAST_RATIO, _MOST_RATIO = 3.0, 5.0
 class Line:
     """One check: its name, the verdict, and the reason in words with numbers and units.
 
-    In the reason, the finding comes first; after the first semicolon follows what it means and what to do.
+    Attributes:
+        name: what was checked, the `kind` of a fact.
+        verdict: fine, look or stop.
+        finding: what was found, in words with numbers and units.
+        advice: what it means and what to do; "" if nothing.
     """
 
     name: str
     verdict: Verdict
-    reason: str
+    finding: str
+    advice: str = ""
+
+    @property
+    def reason(self) -> str:
+        """Finding and advice."""
+        return "; ".join(filter(None, (self.finding, self.advice)))
 
 
 def lines_of(
@@ -478,12 +492,15 @@ def lines_of(
         if not facts:
             return Line(name, verdict, otherwise)
         # Findings with the same advice share it.
-        advice: dict[str, list[str]] = {}
+        by_advice: dict[str, list[str]] = {}
         for fact in facts:
-            finding, _, rest = fact.text.partition("; ")
-            advice.setdefault(rest, []).append(finding)
-        reason = "; ".join("; ".join(filter(None, (", ".join(of), rest))) for rest, of in advice.items())
-        return Line(name, "stop" if any(fact.grave for fact in facts) else "look", reason)
+            by_advice.setdefault(fact.advice, []).append(fact.finding)
+        (advice, findings), *others = by_advice.items()
+        more = [part for rest, of in others for part in (", ".join(of), rest)]
+        advice = "; ".join(filter(None, (advice, *more)))
+        return Line(
+            name, "stop" if any(fact.grave for fact in facts) else "look", ", ".join(findings), advice
+        )
 
     timed, rate = recording.jitter is not None, f"{recording.rate:.6g} Hz"
     unknown = "cannot be checked without time stamps"
@@ -561,17 +578,17 @@ def _bandwidth(rate: float, widths: Mapping[str, float | None]) -> Line:
     known = {axis: value for axis, value in widths.items() if value is not None}
     below = {axis: value for axis, value in known.items() if np.isfinite(value)}
     if not known:
-        return Line(name, "look", "unknown; drift or a short record hides the passband")
+        return Line(name, "look", "unknown", "drift or a short record hides the passband")
     if not below:
         unlimited = f"no filter below {plain(rate / 2.0, 4)} Hz, half the rate"
         aliased = f"if the sensor has more bandwidth, aliased noise adds to N ({wanted})"
-        return Line(name, "look", f"{unlimited}; {aliased}")
+        return Line(name, "look", unlimited, aliased)
     axis = max(below, key=below.__getitem__)
     widest = below[axis]
-    ratio = f"{plain(widest, 3)} Hz ({axis}); the rate is {plain(rate / widest, 2)} times that"
+    found = f"{plain(widest, 3)} Hz ({axis}); the rate is {plain(rate / widest, 2)} times that"
     if rate < _LEAST_RATIO * widest:
-        return Line(name, "look", f"{ratio}; aliased noise adds to N ({wanted})")
-    return Line(name, "fine", f"{ratio}; {'more than needed, as ' * (rate > _MOST_RATIO * widest)}{wanted}")
+        return Line(name, "look", found, f"aliased noise adds to N ({wanted})")
+    return Line(name, "fine", found, f"{'more than needed, as ' * (rate > _MOST_RATIO * widest)}{wanted}")
 
 
 def worst(lines: Sequence[Line]) -> Verdict:

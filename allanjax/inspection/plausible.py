@@ -397,17 +397,20 @@ def resolved(
         name, size = (axis.name,), float(noise[k])
         few = f"the noise of {axis.name} is {plain(size, 2)} steps of {amount(steps[k], axis, 3)}"
         if steps[k] > 0.0 and noise[k] < _TOO_FEW:
-            text = f"{few}; the coefficients describe the rounding; record with a finer resolution"
-            facts.append(Fact("resolution", text, name, "not a measurement", size, "steps"))
+            fact = Fact("resolution", few, name, "not a measurement", size, "steps")
+            means, remedy = "the coefficients describe the rounding", "record with a finer resolution"
+            facts.append(dataclasses.replace(fact, meaning=means, remedy=remedy))
         elif repeated[k] > _HELD + 2.0 * chance[k]:
-            text = (
-                f"{axis.name}: {100.0 * repeated[k]:.0f} % of the samples repeat the one before; the sensor "
-                "updates more slowly than the file's rate, and content above its own rate is an artefact"
+            text = f"{axis.name}: {100.0 * repeated[k]:.0f} % of the samples repeat the one before"
+            fact = Fact("repeated samples", text, name, "none", float(repeated[k]), "1")
+            means = (
+                "the sensor updates more slowly than the file's rate, and content above its own rate is an "
+                "artefact"
             )
-            facts.append(Fact("repeated samples", text, name, "none", float(repeated[k]), "1"))
+            facts.append(dataclasses.replace(fact, meaning=means))
         elif steps[k] > 0.0 and noise[k] < _FEW_STEPS:
-            text = f"{few}; part of the noise is rounding, and the intervals of N are widened accordingly"
-            facts.append(Fact("resolution", text, name, "widened", size, "steps"))
+            means = "part of the noise is rounding, and the intervals of N are widened accordingly"
+            facts.append(Fact("resolution", few, name, "widened", size, "steps", meaning=means))
     return facts, steps
 
 
@@ -417,42 +420,49 @@ def saturated(axes: Sequence[Axis], ends: Ends, steps: OfAxes) -> list[Fact]:
     for side, k in np.argwhere(ends.piled_up(steps) & (ends.count >= _LEAST)):
         axis, share = axes[k], 100.0 * float(ends.count[side, k]) / ends.n
         level = amount((1.0, -1.0)[side] * ends.value[side, k], axis, 4)
-        text = (
-            f"{axis.name} is at {level} in {plain(share, 2)} % of the samples; its range ends there; use a "
-            "wider range, or remove the offset"
-        )
-        facts.append(Fact("saturation", text, (axis.name,), "not a measurement", share, "%"))
+        text = f"{axis.name} is at {level} in {plain(share, 2)} % of the samples"
+        fact = Fact("saturation", text, (axis.name,), "not a measurement", share, "%")
+        means, remedy = "its range ends there", "use a wider range, or remove the offset"
+        facts.append(dataclasses.replace(fact, meaning=means, remedy=remedy))
     return facts
 
 
 def sampling_facts(recording: Recording) -> Iterator[Fact]:
     """Yield facts about times, missing samples and dead axes."""
     if (jitter := recording.jitter) is not None and jitter * recording.rate > _JITTER:
-        then = "samples are treated as evenly spaced; if the jitter is real, use the sensor's own time stamps"
-        text = f"{describe_jitter(recording)}; {then}"
-        yield Fact("jitter", text, recording.names, size=jitter, unit="s")
+        yield Fact(
+            "jitter",
+            describe_jitter(recording),
+            recording.names,
+            size=jitter,
+            unit="s",
+            meaning="samples are treated as evenly spaced",
+            remedy="if the jitter is real, use the sensor's own time stamps",
+        )
     if gaps := recording.gaps:
         rate, lost, longest = recording.rate, sum(g.samples for g in gaps), max(g.samples for g in gaps)
         count = f"{len(gaps)} gaps of at most" if len(gaps) > 1 else "a gap of"
-        text = f"{lost:,} samples are missing in {count} {duration(longest / rate)}; "
+        text = f"{lost:,} samples are missing in {count} {duration(longest / rate)}"
         spans = tuple((gap.first / rate, (gap.first + gap.samples) / rate) for gap in gaps)
         means: Consequence = "none" if recording.missing is None else "widened"
         names = recording.names
         if recording.missing is None:
-            text += f"{1 + len(recording.others)} segments without gaps are used"
+            then = f"{1 + len(recording.others)} segments without gaps are used"
         else:
             wider = 100.0 * (float(widening(recording.missing).max()) - 1.0)
-            text += f"they are filled in, which widens the intervals by {plain(wider, 2)} %"
+            then = f"they are filled in, which widens the intervals by {plain(wider, 2)} %"
             drawn = zip(names, recording.missing.T, strict=True)
             names = tuple(name for name, x in drawn if x.any())
-        yield Fact("gaps", text, names, means, lost / rate, "s", spans)
+        yield Fact("gaps", text, names, means, lost / rate, "s", spans, meaning=then)
     yield from dead_facts(recording.dead)
 
 
 def dead_facts(dead: Sequence[DeadAxis]) -> Iterator[Fact]:
     """Yield facts about axes that do not change or have no samples."""
     for d in dead:
-        yield Fact("dead axes", f"{d.axis.name}: {d.reason}", (d.axis.name,), "not a measurement")
+        means = "the sensor seems stuck or disconnected"
+        finding = f"{d.axis.name}: {d.reason}"
+        yield Fact("dead axes", finding, (d.axis.name,), "not a measurement", meaning=means)
 
 
 def describe_jitter(recording: Recording) -> str:
@@ -493,5 +503,5 @@ def temperature_facts(recording: Recording) -> Iterator[Fact]:
             if 2.0 * stdtr(dof, -abs(t)) < _CHANCE / len(recording.axes):
                 drift = amount(abs(slope) * float(np.ptp(z)), axis)
                 remedy = f"fit with --objective whittle --regressors {','.join(channels)}"
-                text = f"{axis.name} follows {key} ({drift} over its range); {remedy}"
-                yield Fact("temperature", text, (axis.name,))
+                text = f"{axis.name} follows {key} ({drift} over its range)"
+                yield Fact("temperature", text, (axis.name,), remedy=remedy)

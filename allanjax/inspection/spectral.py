@@ -61,12 +61,10 @@ def spectral_facts(
         own = np.array([axis.sensor == sensor and axis.name not in held for axis in axes])
         native = interpolated_from(values, rate, own)
         if native is not None:
-            text = (
-                f"the {sensor} samples are interpolated from about {plain(native, 4)} Hz to {rate:g} Hz; "
-                "read the sensor's own samples at its own rate"
-            )
+            text = f"the {sensor} samples are interpolated from about {plain(native, 4)} Hz to {rate:g} Hz"
             names = tuple(axis.name for axis, of in zip(axes, own, strict=True) if of)
-            yield Fact("interpolation", text, names, "not a measurement", native, "Hz")
+            remedy = "read the sensor's own samples at its own rate"
+            yield Fact("interpolation", text, names, "not a measurement", native, "Hz", remedy=remedy)
     if (spectrum := spectrum_of(values, rate)) is None:
         return
     yield from _lines(spectrum, axes)

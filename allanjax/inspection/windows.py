@@ -431,19 +431,23 @@ def rms_within(windows: Windows, most: int | None = None) -> OfAxes:
     return np.sqrt((power.sum(axis=1) * (scales / 2.0)[:, None]).sum(axis=0) / windows.count.sum())
 
 
-def motion_warning(moving: Sequence[Motion], axes: Sequence[Axis], disturbed: bool) -> str:
-    """Return the warning that this is not a static recording, with the numbers that show it.
+#: What follows if a sensor moves.
+IN_MOTION = "this is not a static recording, and the coefficients describe the motion, not the sensor"
+
+
+def motion_warning(moving: Sequence[Motion], axes: Sequence[Axis], disturbed: bool) -> tuple[str, str]:
+    """Return the numbers that show motion, and what to do about it.
 
     `disturbed` is whether disturbances prevent coefficients even if the motion is intended.
     """
     # The strongest of each sensor, which is the last.
     reasons = {axes[m.axis].sensor: m.words for m in moving}
     too = (" --as-is", ", as_is=True") if disturbed else ("", "")
-    return (
-        f"{'; '.join(reasons.values())}. This is not a static recording, and the coefficients describe the "
-        "motion, not the sensor: record it at rest, or select a part at rest with --start and --stop; if the "
-        f"motion is intended, pass --vibrating{too[0]} (vibrating=True{too[1]})"
+    remedy = (
+        "record it at rest, or select a part at rest with --start and --stop; if the motion is intended, "
+        f"pass --vibrating{too[0]} (vibrating=True{too[1]})"
     )
+    return ", and ".join(reasons.values()), remedy
 
 
 def runs(mask: Which, gap: int) -> list[tuple[int, int]]:

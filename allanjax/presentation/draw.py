@@ -499,7 +499,7 @@ def heading_of(fit: Fit | None, title: str, facts: str, axes: Sequence[str] | st
     if fit is None:
         return Heading(title, facts, [measured_entry()])
     if axes is None:
-        dead = (f"; {a.axis.name} is not drawn: {a.reason.partition(';')[0]}" for a in fit.dead)
+        dead = (f"; {a.axis.name} is not drawn: {a.reason}" for a in fit.dead)
         facts += "".join(dead)
     return Heading(fit.name or title, facts, [measured_entry(), model_entry()])
 

@@ -215,8 +215,8 @@ class DeadAxis:
     def of(cls, axis: Axis, value: float) -> "DeadAxis":
         """Return the dead axis with this constant value [its own unit]; nan if it has no numbers."""
         if np.isnan(value):
-            return cls(axis, "without any number; the sensor seems disconnected")
-        return cls(axis, f"constant at {value:.6g} {axis.unit}; the sensor seems stuck or disconnected")
+            return cls(axis, "without any number")
+        return cls(axis, f"constant at {value:.6g} {axis.unit}")
 
 
 def axes_of(

@@ -363,5 +363,5 @@ def _living(
     living = check_values(values, labels, source)
     every = zip(axes, values[0] / scales, living, strict=True)
     dead = tuple(DeadAxis.of(axis, float(value)) for axis, value, lives in every if not lives)
-    notes = tuple(f"{d.axis.name} left out: {d.reason.partition(';')[0]}" for d in dead)
+    notes = tuple(f"{d.axis.name} left out: {d.reason}" for d in dead)
     return values[:, living] if dead else values, tuple(itertools.compress(axes, living)), dead, notes
