@@ -504,8 +504,11 @@ def lines_of(
 
     timed, rate = recording.jitter is not None, f"{recording.rate:.6g} Hz"
     unknown = "cannot be checked without time stamps"
-    stated = "; ".join(note for note in recording.notes if note.startswith("sample rate")) or rate
-    yield line("rate", stated) if timed else line("rate", f"{rate} as given; it {unknown}", "look")
+    yield (
+        line("rate", f"{rate} by the time stamps")
+        if timed
+        else line("rate", f"{rate} as given; it {unknown}", "look")
+    )
     yield line("jitter", describe_jitter(recording)) if timed else line("jitter", unknown, "look")
     yield line("gaps", unknown, "look") if recording.gaps is None else line("gaps", "none")
     yield line("repeated samples", "no more than rounding explains")
@@ -567,9 +570,11 @@ def _temperature(recording: Recording) -> tuple[str, Verdict]:
     missing = [key for key, z in channels.items() if not np.isfinite(z).all()]
     if missing:
         return f"values of {', '.join(missing)} are missing; whether an axis follows it is unknown", "look"
-    ranges = {key: plain(float(np.ptp(z)), 3) for key, z in channels.items()}
-    varies = "; ".join(f"{key} varies by {size} (unit of its column)" for key, size in ranges.items())
-    return f"{varies}, and no axis follows it", "fine"
+    varies = []
+    for key, z in channels.items():
+        unit = recording.auxiliary_units.get(key, "(unit of its column)")
+        varies.append(f"{key} varies by {plain(float(np.ptp(z)), 3)} {unit}")
+    return f"{' and '.join(varies)}, and no axis follows it", "fine"
 
 
 def _bandwidth(rate: float, widths: Mapping[str, float | None]) -> Line:

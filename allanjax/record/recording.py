@@ -49,6 +49,7 @@ class Recording(ByValue):
         rate: sample rate in Hz.
         axes: axes, one per column of `values`.
         auxiliary: other columns by name, in the units of the file.
+        auxiliary_units: these units by name, where the file states them.
         name: name for display, e.g. that of the file without its suffix.
         notes: assumptions and findings of the reader that users should know.
         dead: axes that were left out because they have no noise, and why.
@@ -71,6 +72,7 @@ class Recording(ByValue):
     auxiliary: Mapping[str, Float[np.ndarray, " samples"]] = field(
         default_factory=lambda: MappingProxyType({})
     )
+    auxiliary_units: Mapping[str, str] = field(default_factory=lambda: MappingProxyType({}))
     name: str = ""
     notes: tuple[str, ...] = ()
     dead: tuple[DeadAxis, ...] = ()
@@ -166,7 +168,11 @@ class Recording(ByValue):
         self, samples: Float[np.ndarray, "samples axes"], units: Sequence[str]
     ) -> dict[str, Float[np.ndarray, " samples"]]:
         labels = [f"{axis.name} [{unit}]" for axis, unit in zip(self.axes, units, strict=True)]
-        return {"time [s]": self.time, **dict(zip(labels, samples.T, strict=True)), **self.auxiliary}
+        auxiliary = {}
+        for name, column in self.auxiliary.items():
+            unit = self.auxiliary_units.get(name)
+            auxiliary[f"{name} [{unit}]" if unit else name] = column
+        return {"time [s]": self.time, **dict(zip(labels, samples.T, strict=True)), **auxiliary}
 
     def to_dataframe(self, si: bool = False) -> "pd.DataFrame":
         """Return a table with one row per sample and the `columns`, as input for `from_dataframe` or `fit`.
@@ -336,6 +342,7 @@ def _recording(table: Table, layout: Layout, record: Record, name: str) -> Recor
         rate=record.rate,
         axes=axes,
         auxiliary=MappingProxyType(dict(record.auxiliary)),
+        auxiliary_units=MappingProxyType({c.name: c.unit for c in layout.auxiliary if c.unit}),
         name=name,
         notes=(*notes, *left_out),
         dead=dead,

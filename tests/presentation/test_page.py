@@ -195,7 +195,7 @@ def document(tmp_path_factory):
     recording = six()
     critique = bench.once("critique of six axes", lambda: aj.critique(recording))
     known = {"begun": 1.7e9, "auxiliary": {"temperature": np.linspace(24.0, 25.5, recording.n)}}
-    recording = dataclasses.replace(recording, notes=("auxiliary: temperature [degC]",), **known)
+    recording = dataclasses.replace(recording, auxiliary_units={"temperature": "degC"}, **known)
     path = tmp_path_factory.mktemp("document") / "six.html"
     more = {"title": "Unit 0123", "notes": {"serial number": "0123", "operator": "A. Smith"}}
     limits = {"name": "AT-7", "gyro": {"meaning": "maximum", "N": "0.2 deg/√h", "K": "400 deg/h/√h"}}

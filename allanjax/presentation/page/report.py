@@ -128,11 +128,11 @@ def _complete(one: Reported) -> Reported:
 
 
 def _stated(recording: Recording) -> Iterator[tuple[str, str]]:
-    """Start and temperatures of a record, with their units as its notes have them."""
+    """Start and temperatures of a record, with their units."""
     if recording.begun is not None:
         yield "start", f"{datetime.fromtimestamp(recording.begun, UTC):%Y-%m-%d %H:%M:%S} UTC"
     for name, values in recording.auxiliary.items():
         if "temp" in name.casefold() and np.isfinite(values).any():
-            note = next((x for x in recording.notes if x.startswith(f"auxiliary: {name}")), name)
             ends = " … ".join(plain(float(end), 3) for end in (np.nanmin(values), np.nanmax(values)))
-            yield note.removeprefix("auxiliary: "), ends
+            unit = recording.auxiliary_units.get(name)
+            yield f"{name} [{unit}]" if unit else name, ends
