@@ -164,13 +164,11 @@ def fit(
         raise AllanjaxError(f'{model!r} is an objective, not a model; pass objective="{model}"')
     if isinstance(recording, AllanDeviation):
         own = {"rate": rate, "gyro_unit": gyro_unit, "accel_unit": accel_unit, "names": names, "gaps": gaps}
-        unused = [name for name, value in own.items() if value is not None] + ["regressors"] * bool(
-            regressors
-        )
+        unused = [name for name, value in own.items() if value is not None]
+        if regressors:
+            unused.append("regressors")
         if unused:
-            raise AllanjaxError(
-                f"a curve has no record, and its own axes and units: omit {', '.join(unused)}"
-            )
+            raise AllanjaxError(f"a curve has its own rate, axes and units: omit {', '.join(unused)}")
         return fit_curve(recording, model, objective)
     recording = as_recording(recording, rate, gyro_unit, accel_unit, names, gaps)
     regressors = (regressors,) if isinstance(regressors, str) else regressors

@@ -515,8 +515,12 @@ class Fit(ByValue, PerAxis[AxisFit]):
         It is that of the detected terms; where sets of terms are undecided, it is their average. Where the
         model fits, it stays within the measured curve's 95 % interval.
         """
+        return self.model_curve(axis, cluster_time)[0]
+
+    def model_curve(self, axis: str, cluster_time: ArrayLike) -> Float[np.ndarray, "3 ..."]:
+        """Allan deviation that the fit states, see `model_deviation`, and the ends of its 95 % interval."""
         at = np.asarray(cluster_time, float)
-        return self.stated(axis).deviation(np.atleast_1d(at))[0].reshape(at.shape)
+        return self.stated(axis).deviation(np.atleast_1d(at)).reshape(3, *at.shape)
 
     @presented
     def plot(

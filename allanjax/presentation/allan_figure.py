@@ -162,7 +162,7 @@ def _draw_model(panel: Axes, fit: Fit, result: AxisFit, scale: float) -> tuple[d
         if label in styles:
             y, name = np.sqrt(term.allan_variance(time)) / scale, title_of(label, result.axis.sensor)
             (lines[label],) = panel.plot(time, y, label=name, **styles[label])
-    stated, low, high = fit.stated(result.axis.name).deviation(time) / scale
+    stated, low, high = fit.model_curve(result.axis.name, time) / scale
     panel.fill_between(time, low, high, **draw.model_band())
     return lines, panel.plot(time, stated, **draw.model_line())[0]
 

@@ -91,7 +91,7 @@ def curves(fit: Fit) -> list[Chart]:
             k, result = curve.names.index(axis.name), fit[axis.name]
             points = measured(group, k, curve.cluster_time, curve.deviation, ends)
             if result.converged:
-                traces += _curve(points, result, curve.rate, time, fit.stated(axis.name).deviation(time))
+                traces += _curve(points, result, curve.rate, time, fit.model_curve(axis.name, time))
             else:
                 traces.append(points)
             marks += _marks(result, points)
