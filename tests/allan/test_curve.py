@@ -136,6 +136,8 @@ def test_a_fit_of_the_curve_agrees_with_that_of_the_record(curve, tmp_path):
     same = aj.fit(curve, "N + B + K")
     assert same.axes == curve.names
     assert same["gyro_x"]["N"].detected
+    with pytest.raises(aj.AllanjaxError, match="omit rate, regressors"):
+        aj.fit(curve, "N", rate=100.0, regressors="temperature")
 
 
 def test_without_rate_or_length_there_are_values_but_no_intervals(curve, tmp_path):

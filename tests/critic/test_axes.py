@@ -398,3 +398,16 @@ def test_steps_of_the_output_and_a_range_are_those_of_measured_samples():
     assert limits.parameters["lower_level"].value == pytest.approx(-1.5)
     clipped = np.sum(abs(x[~LOST, 1]) == 1.5)
     assert limits.parameters["fraction"].value == pytest.approx(clipped / N)
+
+
+def test_a_critique_of_segments_starts_from_a_fit_of_all_of_them():
+    """No estimate from n samples of white noise is better than one part in √(2n) (Cramér and Rao)."""
+    lengths = 2_000, 3_000, 2_500, 2_500, 2_000
+    x = np.random.default_rng(8).standard_normal((sum(lengths), 1))
+    lost = np.zeros(len(x), bool)
+    lost[np.cumsum(lengths)[:-1]] = True
+    x[lost] = np.nan
+    found = aj.critique(x, rate=RATE, gyro_unit="deg/s", gaps="segments", effects=only("sinusoid"))
+    N = found.fit["gyro"]["N"]
+    assert 1.0 / np.sqrt(2.0 * sum(lengths)) < N.std / N.value < 0.9 / np.sqrt(2.0 * max(lengths))
+    assert any("longest segment" in note for note in found.notes)

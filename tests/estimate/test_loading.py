@@ -54,7 +54,9 @@ def not_finite():
 def failed():
     fit = without_result(aj.fit(white(), "N + K"), "gyro_0")
     moved = Fact("at rest", "it was moved", ("gyro_0",), "not a measurement", 3.0, "deg/s", ((1.5, 19.0),))
-    facts = (moved, Fact("length", "short", ()))
+    told = Fact("length", "short", (), meaning="B and K are not known", remedy="record longer")
+    assert told.text == "short; B and K are not known; record longer"
+    facts = (moved, told)
     return dataclasses.replace(fit, facts=facts, parts=((1.5, 9.0), (10.0, 19.0)))
 
 

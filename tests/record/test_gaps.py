@@ -219,6 +219,15 @@ def test_segments_takes_the_longest_stretch_and_keeps_others(written):
     assert noted(recording, "longest of 4")
     np.testing.assert_array_equal(recording["gyro_z"].others[1][:, 0], table.iloc[2201:2900, 3])
     assert recording.between(1.0, 5.0).others == ()
+    # Segments in the part are kept, each cut at the ends of the part, with their places and gaps.
+    rate = recording.rate
+    part = recording.between(-100 / rate, 1700 / rate)
+    np.testing.assert_array_equal(part.values, recording.values)
+    for found, rows in zip(part.others, (slice(602, 700), slice(2201, 2402)), strict=True):
+        np.testing.assert_array_equal(found, table.iloc[rows, 1:4].to_numpy())
+    later = recording.between(start=500 / rate)
+    assert (later.n, *map(len, later.others)) == (998, 699, 99)
+    assert (later.places, later.gaps) == ((999, 1699), ((998, 1), (1698, 1)))
     # Those of fewer than 64 samples are not kept, and no more than fifteen, the longest.
     x = np.random.default_rng(1).standard_normal((3000, 1))
     cut = filled(in_stretches(x, [63, 400, *range(64, 82)]), gaps="segments")

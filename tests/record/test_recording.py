@@ -1,5 +1,7 @@
 """Recordings in memory, as data frames and files that give them again, and in units of every spelling."""
 
+import dataclasses
+
 import numpy as np
 import pandas as pd
 import pytest
@@ -105,6 +107,7 @@ def test_a_written_recording_is_read_without_arguments(tmp_path):
     units = {"gyro_unit": "arcsec", "accel_unit": "µg", "names": ["gyro_x", "gyro_1", "accel_z"]}
     units["auxiliary"] = {"temperature": NOISE[:, 5]}
     made = aj.Recording.from_array(NOISE[:, [0, 2, 3]], 100.0 / 3.0, **units)
+    made = dataclasses.replace(made, auxiliary_units={"temperature": "degC"})
     for suffix in ("csv", "parquet", "npz"):
         aj.write(made, tmp_path / f"imu.{suffix}")
         again = aj.read(tmp_path / f"imu.{suffix}")
@@ -112,6 +115,7 @@ def test_a_written_recording_is_read_without_arguments(tmp_path):
         assert again.rate == pytest.approx(made.rate, rel=1e-12)
         np.testing.assert_allclose(again.values, made.values, rtol=1e-12)
         np.testing.assert_array_equal(again.auxiliary["temperature"], NOISE[:, 5])
+        assert again.auxiliary_units == {"temperature": "degC"}
     # Numbers of a file are those of its frame.
     numbers = np.round(NOISE[:, :3], 2)
     read = aj.read(write_text(tmp_path / "imu.csv", HEADER[:3], numbers), rate=100)
