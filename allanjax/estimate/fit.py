@@ -67,6 +67,7 @@ from allanjax.estimate.spectral.search import Record
 from allanjax.estimate.variation import with_variations
 from allanjax.inspection import Inspection, inspect
 from allanjax.inspection.facts import Fact, ordered
+from allanjax.inspection.units import units_of_curve
 from allanjax.noise.model import Model
 from allanjax.noise.notation import ModelLike
 from allanjax.noise.terms import (
@@ -185,8 +186,14 @@ def fit_curve(curve: AllanDeviation, model: ModelLike | None = None, objective: 
     if not curve.determined:
         results = tuple(r.without_intervals() if r.measured else r for r in results)
     results = tuple(r.with_misfits_felt(curve.rate) if r.converged else r for r in results)
+    facts = units_of_curve(curve.axes, curve.cluster_time, curve.deviation, curve.given)
+    doubtful = {axis: (fact.kind,) for fact in facts if fact.grave for axis in fact.axes}
+    results = tuple(
+        r.unmeasured(not_measured=doubtful[r.axis.name]) if r.converged and r.axis.name in doubtful else r
+        for r in results
+    )
     bare = dataclasses.replace(curve, name="", notes=())
-    return Fit(curve.name, template, bare, results, curve.notes)
+    return Fit(curve.name, template, bare, results, curve.notes, facts=ordered(facts))
 
 
 def fit_inspected(
