@@ -181,12 +181,12 @@ def fit_curve(curve: AllanDeviation, model: ModelLike | None = None, objective: 
     check_terms(template, "needs the record itself; leave it out for a curve")
     check_count(len(curve.cluster_size), "Allan variances", curve.n, template, curve.name)
     active = np.ones((len(curve.axes), len(template)), bool)
+    facts = units_of_curve(curve.axes, curve.cluster_time, curve.deviation, curve.given)
     fitted = fit_allan(curve, None, curve.axes, template, active)
     results, curve = with_curve(curve, template, fitted)
     if not curve.determined:
         results = tuple(r.without_intervals() if r.measured else r for r in results)
     results = tuple(r.with_misfits_felt(curve.rate) if r.converged else r for r in results)
-    facts = units_of_curve(curve.axes, curve.cluster_time, curve.deviation, curve.given)
     doubtful = {axis: (fact.kind,) for fact in facts if fact.grave for axis in fact.axes}
     results = tuple(
         r.unmeasured(not_measured=doubtful[r.axis.name]) if r.converged and r.axis.name in doubtful else r

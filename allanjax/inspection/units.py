@@ -53,42 +53,46 @@ _PAIRS = {
     ("rad", "m/s"): 0.05,
     ("deg/s", "mg"): 0.03,
     ("deg", "m/s"): 0.03,
+    ("deg/h", "µg"): 0.03,
+    ("deg/h", "m/s²"): 0.02,
     (_OTHER, _OTHER): 0.02,
 }
 # Share of each unit that is not among them.
 _SELDOM = 0.002
-# Probabilities, all judgements: that both labels are those of a template which the data do not follow; of that,
-# if the user gave another unit than the label of one sensor; that a single label is wrong; that a unit is wrong
-# which the user gave.
+# Probabilities, all judgements: that both labels are those of a template which the data do not follow; of
+# that, if the user gave another unit than the label of one sensor; that a single label is wrong; that a unit
+# is wrong which the user gave.
 _TEMPLATE, _ONE_WAS_WRONG, _LABEL, _GIVEN = 0.01, 0.5, 0.005, 0.003
 # Least probability of a unit that is not in doubt.
 _TRUSTED = 0.8
 # Factors by which a rate that belongs to increments may be wrong.
 _RATES = (10.0, 0.1, 100.0, 0.01)
 
+# What is less, as the mean of a simulation, is zero.
+_ZERO = 1e-12
 # White noise in deg/√h and m/s/√h.
 _ROOT_HOUR: dict[Sensor, float] = {"gyro": DEG / 60.0, "accel": 1.0 / 60.0}
 # Its range in sensors, from the best of navigation grade to consumer sensors of 1 mg/√Hz.
 _NOISE: dict[Sensor, _Laws] = {"gyro": (_Law(2e-4, 4.0, 0.5),), "accel": (_Law(1e-3, 0.6, 0.5),)}
-# Ratio of the two, of tested units from 0.17 (fibre-optic gyros beside MEMS accelerometers) to 30. Accelerometers
-# with less noise than MEMS [m/s/√h] may be beside better gyros.
-_RATIO, _MEMS = _Law(0.13, 50.0, 0.1), 0.03
+# Ratio of the two, of tested units from 0.17 (fibre-optic gyros beside MEMS accelerometers) to 30; and the
+# noise of accelerometers [m/s/√h] below which they are not MEMS, and may be beside better gyros.
+_RATIO, _MEMS = _Law(0.13, 55.0, 0.1), 0.03
 # Size of the mean of gyros at rest [deg/s]: biases, or the earth's rate.
-_BIAS = (_Law(1e-12, 9.5, 0.17, 0.95), _Law(0.98 * EARTH_RATE / DEG, 1.02 * EARTH_RATE / DEG, 0.01, 0.05))
-# That of three accelerometers in g: gravity within 5 %, as of consumer sensors, or badly calibrated; removed, or
-# not simulated. That of fewer axes is any part of it, and that of accelerometers in motion may be more.
+_BIAS = (_Law(_ZERO, 9.5, 0.17, 0.95), _Law(0.98 * EARTH_RATE / DEG, 1.02 * EARTH_RATE / DEG, 0.01, 0.05))
+# That of three accelerometers in g: gravity within 5 %, as of consumer sensors, or badly calibrated; removed,
+# or not simulated. That of fewer axes is any part of it, and that of accelerometers in motion may be more.
 _GRAVITY = _Law(0.95, 1.05, 0.01, 0.9)
-_TRIAD = (_GRAVITY, _Law(0.8, 1.2, 1e-3, 0.05), _Law(1e-12, 0.1, 0.02, 0.05))
-_FEWER = (_Law(0.98, 1.02, 0.01, 0.3), _Law(1e-12, 1.02, 0.05, 0.7))
-_MOVING = (_GRAVITY, _Law(1e-12, 30.0, 0.5, 0.1))
+_TRIAD = (_GRAVITY, _Law(0.8, 1.2, 1e-3, 0.05), _Law(_ZERO, 0.1, 0.02, 0.05))
+_FEWER = (_Law(0.98, 1.02, 0.01, 0.3), _Law(_ZERO, 1.02, 0.05, 0.7))
+_MOVING = (_GRAVITY, _Law(_ZERO, 30.0, 0.5, 0.1))
 # Noise per sample and mean in counts: less than one to hundreds, and up to 24 bits.
-_NOISE_COUNTS, _MEAN_COUNTS = (_Law(0.3, 300.0, 0.7),), (_Law(1e-3, 2.0**24, 0.5),)
+_NOISE_COUNTS, _MEAN_COUNTS = (_Law(0.3, 300.0, 0.7),), (_Law(_ZERO, 2.0**24, 0.5),)
 # A quantity in a unit that is not known.
-_ANYWHERE = (_Law(1e-12, 1e12, 1.0),)
+_ANYWHERE = (_Law(_ZERO, 1e12, 1.0),)
 # Steps of the output [deg/s and g]: of few bits 0.07 deg/s and 31 mg.
-_STEP: dict[Sensor, _Laws] = {"gyro": (_Law(1e-12, 0.1, 0.3),), "accel": (_Law(1e-12, 0.04, 0.3),)}
-# Steps of common sensors, in the same units and times any power of two: 1/131 deg/s, 4.375 mdeg/s and 250 deg/s
-# in 2¹⁵; 1/16384 g and 0.061 mg. The relative precision to which steps are known; the share of such sensors.
+_STEP: dict[Sensor, _Laws] = {"gyro": (_Law(_ZERO, 0.1, 0.3),), "accel": (_Law(_ZERO, 0.04, 0.3),)}
+# Steps of common sensors, in the same units and times any power of two: 1/131 deg/s, 4.375 mdeg/s and
+# 250 deg/s in 2¹⁵; 1/16384 g and 0.061 mg. The relative precision of steps; the share of such sensors.
 _KNOWN: dict[Sensor, tuple[float, ...]] = {
     "gyro": (1.0 / 131.0, 4.375e-3, 250.0 / 2**15),
     "accel": (1.0, 0.061e-3),
@@ -242,7 +246,7 @@ def unit_facts(shown: Sequence[Shown]) -> list[Fact]:
         impossible = bool(_normalised(alone[k] + np.log(trusting))[0] < _TRUSTED)
         beside = "".join(_beside(shown[j], every[j], odds[j]) for j in range(len(shown)) if j != k)
         text = f"{_finding(x)}{beside}; {_advice(x, units, odds[k], impossible)}"
-        # The mean of few accelerometers depends on their tilt. What is given is not refused for another sensor.
+        # The mean of few accelerometers depends on their tilt; what is given is not refused for the others.
         tilted = x.sensor == "accel" and x.mean is not None and len(x.axes) < 3
         sure = not tilted and (impossible or x.given is None)
         means: Consequence = NOT_A_MEASUREMENT if sure else "none"
@@ -300,8 +304,10 @@ def _log_likelihood(x: Shown, units: _Units) -> _OfUnits:
     counts, other = (np.array([name == kind for name in units.names]) for kind in (_COUNTS, _OTHER))
 
     def of(size: float, laws: _Laws, number: float, laws_of_counts: _Laws) -> _OfUnits:
-        sizes = np.where(np.isfinite(units.factors), size * units.factors, 1.0)
-        found = np.where(counts, _mixture(laws_of_counts, np.full_like(sizes, number)), _mixture(laws, sizes))
+        sizes = np.maximum(np.where(np.isfinite(units.factors), size * units.factors, 1.0), _ZERO)
+        found = np.where(
+            counts, _mixture(laws_of_counts, np.full_like(sizes, max(number, _ZERO))), _mixture(laws, sizes)
+        )
         return np.where(other, _mixture(_ANYWHERE, np.ones(1)), found)
 
     found, per = np.zeros(len(units.names)), 1.0 / x.scale
@@ -365,11 +371,11 @@ def _finding(x: Shown) -> str:
 
 def _beside(x: Shown, units: _Units, odds: _OfUnits) -> str:
     """Return what the other sensor shows, or that its own label is wrong, and by which factor."""
-    best, name = int(np.argmax(odds)), _SENSORS[x.sensor]
-    if best == 0 and (x.given is None or abs(x.given - 1.0) < _PRECISION):
+    best, name, given = int(np.argmax(odds)), _SENSORS[x.sensor], x.given or 1.0
+    if best == 0 and abs(given - 1.0) < _PRECISION:
         return f", beside {name} with {x.noise_in(1.0)}"
     if best == 0:
-        return f", and the label of the {name} is wrong by a factor of {plain(x.given, 4)}"
+        return f", and the label of the {name} is wrong by a factor of {plain(given, 4)}"
     factor = f" (a factor of {plain(units.factors[best], 4)})" if np.isfinite(units.factors[best]) else ""
     return f", and the {name} are probably in {units.names[best]}, not {x.unit}{factor}"
 

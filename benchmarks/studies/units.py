@@ -1,17 +1,16 @@
 """Are wrong units noticed and right ones believed, of gyros and accelerometers, in records and in curves?
 
-The probabilities in `inspection/units.py` were set on seeds below 100,000; results are of seeds from a million
-on. Sensors are drawn from navigation to consumer grade, both of one grade or of neighbouring ones: noise,
-biases and the share of samples that are rounded to the steps of a common sensor as they are drawn in
-`common/hidden_sensors.py` and below. Records have 60 s at 50 to 400 Hz at any attitude; a tenth are without
-gravity, as simulations are; some have only gyros, only accelerometers, or one axis of each. Their labels are
-right or wrong, in one of the ways that are listed.
+The probabilities in `inspection/units.py` were set on seeds below 10,000; results are of seeds from a million
+on. Sensors are of navigation, tactical and consumer grade, with noise and biases of the gyros as in
+`common/hidden_sensors.py`. An eighth of the accelerometers is of the next better grade than the gyros, and an
+eighth of the next worse, as long as the ratio of their noise is no more than twice beyond that of units that
+were tested. Half of the outputs are rounded to steps of a common sensor. Records have 40 s at 50 to 200 Hz,
+at any attitude; a tenth are without gravity, as simulations are. Curves are those of white noise.
 
-*Named*: the true unit is the one that is proposed. *Doubted*: the label is doubted, without a unit or with
-another one. *Missed*: nothing is said of this sensor. *Also*: the other sensor, whose label is right, is
-doubted, too. A wrong label that makes a sensor of another grade, as rad/s over deg/s makes a consumer gyro
-of 2 deg/√h one of 115 deg/√h but deg/s over rad/s makes it a fibre-optic gyro of 0.03 deg/√h, can only be
-noticed beside the other sensor.
+Of a sensor whose label is wrong, by the grade of the gyros: how often the true unit is proposed / the label
+is doubted without that / nothing is said. *Also*: how often the other sensor, whose label is right, is
+doubted, too. Some errors only make a sensor of another grade: rad/s over deg/s makes a tactical gyro of
+0.05 deg/√h one of 2.9 deg/√h, and without gravity an accelerometer in g is a better one in m/s².
 """
 
 from __future__ import annotations
@@ -32,7 +31,7 @@ QUICK: dict[str, Any] = {"right": 20, "wrong": 2, "curves": 2}
 NAMES = tuple(f"{sensor}_{axis}" for sensor in ("gyro", "accel") for axis in "xyz")
 ORDER = ("navigation", "tactical", "consumer")
 DEG, G = np.pi / 180.0, 9.80665
-SECONDS = 60.0
+SECONDS = 40.0
 AXES = ("all axes", "gyros", "accelerometers", "one axis of each")
 Pair = tuple[str, str]
 # Units by their factor to SI; those of increments are times the rate, counts have the step of the sensor.
@@ -43,6 +42,9 @@ INCREMENTS = {"rad": 1.0, "deg": DEG, "m/s": 1.0}
 STEPS = {"gyro": (1.0 / 131.0, 1.0 / 16.4, 0.00875, 0.07), "accel": (1.0 / 16384.0, 1.0 / 2048.0, 0.061e-3)}
 # Standard deviations of the biases of the axes of an accelerometer [g].
 ACCEL_BIASES = {"navigation": 1e-4, "tactical": 1e-3, "consumer": 0.02}
+# Ratios of the noise of gyros [deg/√h] and accelerometers [m/s/√h]; of units that were tested, 0.17 to 30.
+# Accelerometers with less noise than 0.03 m/s/√h may be beside better gyros.
+LEAST, MOST = 0.12, 60.0
 # True units of gyros and accelerometers, and what the labels say.
 RIGHT: tuple[Pair, ...] = (
     *(("deg/s", "g"), ("rad/s", "m/s²"), ("deg/s", "m/s²"), ("rad/s", "g"), ("mdeg/s", "mg")),
@@ -82,15 +84,18 @@ class Drawn(NamedTuple):
 
 def draw(seed: int) -> Drawn:
     rng = np.random.default_rng([seed, 61])
-    rate, first = float(rng.choice([50.0, 100.0, 125.0, 200.0, 400.0])), int(rng.integers(3))
-    second = int(np.clip(first + rng.choice([0, 0, 0, -1, 1]), 0, 2))
+    rate, first = float(rng.choice([50.0, 100.0, 125.0, 200.0])), int(rng.integers(3))
+    second = int(np.clip(first + rng.choice([0, 0, 0, 0, 0, 0, -1, 1]), 0, 2))
+    noises = {}
+    while not noises or not LEAST * min(noises["accel"] * 60.0 / 0.03, 1.0) < ratio(noises) < MOST:
+        levels = {"gyro": first, "accel": second}
+        noises = {k: log_uniform(rng, *GRADES[k, ORDER[level]][0]) for k, level in levels.items()}
     n, columns, white, steps = round(SECONDS * rate), [], [], {}
     attitude = rng.standard_normal(3)
     attitude = np.eye(3)[rng.integers(3)] if rng.random() < 0.7 else attitude / np.linalg.norm(attitude)
     gravity = G * attitude * (rng.random() > 0.1)
     for sensor, level in (("gyro", first), ("accel", second)):
-        limits, bias = GRADES[sensor, ORDER[level]]
-        noise = log_uniform(rng, *limits)
+        noise, bias = noises[sensor], GRADES[sensor, ORDER[level]][1]
         mean = gravity + G * ACCEL_BIASES[ORDER[level]] * rng.standard_normal(3)
         if sensor == "gyro":
             turned = rng.standard_normal(3)
@@ -106,6 +111,11 @@ def draw(seed: int) -> Drawn:
     return Drawn(np.hstack(columns), np.array(white), rate, steps, f"{ORDER[first]}")
 
 
+def ratio(noises: dict[str, float]) -> float:
+    """Noise of gyros [deg/√h] per that of accelerometers [m/s/√h]."""
+    return noises["gyro"] / DEG / noises["accel"]
+
+
 def scale(unit: str, drawn: Drawn, sensor: str) -> float:
     """Factor of samples in a unit to SI rates."""
     if unit == "counts":
@@ -115,7 +125,9 @@ def scale(unit: str, drawn: Drawn, sensor: str) -> float:
 
 def labelled(drawn: Drawn, true: Pair, label: Pair, axes: str) -> aj.Recording:
     """A table with times, numbers in the true units and these labels."""
-    per = np.repeat([scale(unit, drawn, sensor) for unit, sensor in zip(true, ("gyro", "accel"))], 3)
+    per = np.repeat(
+        [scale(unit, drawn, sensor) for unit, sensor in zip(true, ("gyro", "accel"), strict=True)], 3
+    )
     numbers = drawn.values / per
     if "counts" in true:
         numbers = np.rint(numbers)
@@ -156,45 +168,45 @@ def judged(facts: Any, true: Pair, label: Pair, sensors: set[str]) -> Said:
     return found
 
 
-def of_record(seed: int, true: Pair, label: Pair, axes: str) -> tuple[str, Said]:
+def said_of(seed: int, true: Pair, label: Pair, axes: str) -> tuple[str, Said]:
+    """Grade of the gyros that are drawn, and what is said of the units of a record or a curve."""
     drawn = draw(seed)
+    if axes == "curves":
+        fit = aj.fit(curve(drawn, true, label), "N")
+        return drawn.grade, judged(fit.facts, true, label, {"gyro", "accel"})
     recording = labelled(drawn, true, label, axes)
-    sensors = {axis.sensor for axis in recording.axes}
-    return drawn.grade, judged(aj.inspect(recording).facts, true, label, sensors)
+    return drawn.grade, judged(aj.inspect(recording).facts, true, label, {a.sensor for a in recording.axes})
 
 
-def of_curve(seed: int, true: Pair, label: Pair) -> tuple[str, Said]:
-    drawn = draw(seed)
-    return drawn.grade, judged(aj.fit(curve(drawn, true, label), "N").facts, true, label, {"gyro", "accel"})
-
-
-def run(*, right: int = 400, wrong: int = 60, curves: int = 60, seed: int = 1_000_000) -> Iterator[str]:
+def run(*, right: int = 250, wrong: int = 30, curves: int = 30, seed: int = 1_000_000) -> Iterator[str]:
     """Right: records of each kind, and curves, with right labels; wrong, curves: of each error."""
-    rows = []
-    for k, axes in enumerate((*AXES, "curves")):
-        pairs, function = (RIGHT, of_record) if axes in AXES else (RIGHT_CURVES, of_curve)
-        more = (axes,) if axes in AXES else ()
-        first = seed + right * k
-        tasks = [(first + j, pairs[j % len(pairs)], pairs[j % len(pairs)], *more) for j in range(right)]
-        found = run_tasks(function, tasks)
-        alarms = [task for task, (_, said) in zip(tasks, found, strict=True) if "doubted" in said.values()]
+    believed = [(axes, pairs) for axes, pairs in (*((a, RIGHT) for a in AXES), ("curves", RIGHT_CURVES))]
+    errors = [("all axes", wrong, *pair) for pair in WRONG] + [
+        ("curves", curves, *pair) for pair in WRONG_CURVES
+    ]
+    tasks: list[tuple[int, Pair, Pair, str]] = []
+    for axes, pairs in believed:
+        units = [pairs[j % len(pairs)] for j in range(right)]
+        tasks += [(seed + len(tasks) + j, unit, unit, axes) for j, unit in enumerate(units)]
+    for axes, count, true, label in errors:
+        tasks += [(seed + len(tasks) + j, true, label, axes) for j in range(count)]
+    found = list(zip(tasks, run_tasks(said_of, tasks), strict=True))
+    rows: list[list[object]] = []
+    for axes, _ in believed:
+        alarms = [task for task, (_, said) in found[:right] if "doubted" in said.values()]
         which = "; ".join(f"{task[0]}: {', '.join(task[1])}" for task in alarms)
         rows.append([axes, right, len(alarms), which])
+        found = found[right:]
     yield "## Right labels\n\n" + table(["axes", "records", "alarms", "which"], rows)
-    head = ["true", "label", "sensor", *ORDER, "also"]
-    for title, errors, function, count in (
-        ("records", WRONG, of_record, wrong),
-        ("curves", WRONG_CURVES, of_curve, curves),
-    ):
-        more = AXES[:1] if title == "records" else ()
-        rows = []
-        for k, (true, label) in enumerate(errors):
-            tasks = [(seed + 10_000 * (k + 1) + j, true, label, *more) for j in range(count)]
-            rows += rows_of(true, label, run_tasks(function, tasks))
-        yield f"## Wrong labels of {title}\n\n" + table(head, rows)
+    rows = []
+    for axes, count, true, label in errors:
+        rows += rows_of(axes, true, label, [said for _, said in found[:count]])
+        found = found[count:]
+    head = ["of", "true", "label", "sensor", *ORDER, "also"]
+    yield "## Wrong labels\n\n" + table(head, rows)
 
 
-def rows_of(true: Pair, label: Pair, found: Sequence[tuple[str, Said]]) -> Iterator[list[object]]:
+def rows_of(axes: str, true: Pair, label: Pair, found: Sequence[tuple[str, Said]]) -> Iterator[list[object]]:
     """Yield, of each sensor with a wrong label, how often it is named, doubted or missed, by grade."""
     for k, sensor in enumerate(("gyro", "accel")):
         if true[k] == label[k]:
@@ -205,4 +217,5 @@ def rows_of(true: Pair, label: Pair, found: Sequence[tuple[str, Said]]) -> Itera
             counts.append(" / ".join(str(said[word]) for word in ("named", "doubted", "missed")))
         other = ("accel", "gyro")[k]
         also = sum(each[other] == "doubted" for _, each in found) if true[1 - k] == label[1 - k] else "–"
-        yield [", ".join(true), ", ".join(label), sensor, *counts, also]
+        kind = "curves" if axes == "curves" else "records"
+        yield [kind, ", ".join(true), ", ".join(label), sensor, *counts, also]
