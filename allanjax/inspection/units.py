@@ -312,10 +312,11 @@ def _log_likelihood(x: Shown, units: _Units) -> _OfUnits:
 
     found, per = np.zeros(len(units.names)), 1.0 / x.scale
     if x.noise > 0.0:
-        laws = _NOISE[x.sensor]
+        size, laws = x.noise / _ROOT_HOUR[x.sensor], _NOISE[x.sensor]
         if x.moves:
-            laws = tuple(law._replace(high=1e6 * law.high) for law in laws)
-        found += of(x.noise / _ROOT_HOUR[x.sensor], laws, x.noise * np.sqrt(x.rate) * per, _NOISE_COUNTS)
+            # All of it may be motion, as read; more in another unit needs more motion.
+            laws = tuple(law._replace(high=max(law.high, size)) for law in laws)
+        found += of(size, laws, x.noise * np.sqrt(x.rate) * per, _NOISE_COUNTS)
     whole = DEG if x.sensor == "gyro" else STANDARD_GRAVITY
     if x.mean and not (x.moves and x.sensor == "gyro"):
         laws = _MOVING if x.moves else _TRIAD if len(x.axes) >= 3 else _FEWER
