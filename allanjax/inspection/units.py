@@ -31,7 +31,7 @@ class _Law(NamedTuple):
     shoulder: float
     weight: float = 1.0
 
-    def log_density(self, value: _OfUnits) -> _OfUnits:
+    def log_density(self, value: np.ndarray) -> np.ndarray:
         """Logarithm of the density times the weight."""
         x, low, high = np.log(value), np.log(self.low), np.log(self.high)
         off = (x - np.clip(x, low, high)) / self.shoulder
@@ -79,6 +79,8 @@ _NOISE: dict[Sensor, _Laws] = {"gyro": (_Law(2e-4, 4.0, 0.5),), "accel": (_Law(1
 _RATIO, _MEMS = _Law(0.13, 55.0, 0.1), 0.03
 # Size of the mean of gyros at rest [deg/s]: biases, or the earth's rate.
 _BIAS = (_Law(_ZERO, 9.5, 0.17, 0.95), _Law(0.98 * EARTH_RATE / DEG, 1.02 * EARTH_RATE / DEG, 0.01, 0.05))
+# That of gyros that turn, as a range of sensors allows.
+_TURNING = (_Law(_ZERO, 4000.0, 0.5),)
 # That of three accelerometers in g: gravity within 5 %, as of consumer sensors, or badly calibrated; removed,
 # or not simulated. That of fewer axes is any part of it, and that of accelerometers in motion may be more.
 _GRAVITY = _Law(0.95, 1.05, 0.01, 0.9)
@@ -105,7 +107,7 @@ _SENSORS: dict[Sensor, str] = {"gyro": "gyros", "accel": "accelerometers"}
 
 
 @dataclasses.dataclass(frozen=True)
-class Shown:
+class _Shown:
     """What the axes of one sensor show.
 
     Attributes:
@@ -190,11 +192,11 @@ def units_of_record(
             # Motion is not white, but noise in another unit still is.
             flat = np.median((white.max(axis=0) - _FLAT * white.min(axis=0))[which]) < 0.0
             moves = vibrating or "accel" in moving or ("gyro" in moving and not flat)
-            alike = float(step[0]) if np.allclose(step, step[0], rtol=_PRECISION) else 0.0
+            alike = float(step[0]) if np.allclose(step, step[0], rtol=_PRECISION, atol=0.0) else 0.0
             noise, size = np.median(white.min(axis=0)[which]), np.linalg.norm(mean[which])
             own = tuple(axes[k] for k in which)
-            shown.append(Shown(own, rate, float(noise), float(size), alike, moves, given.get(sensor)))
-        facts += unit_facts(shown)
+            shown.append(_Shown(own, rate, float(noise), float(size), alike, moves, given.get(sensor)))
+        facts += _doubts(shown)
     return facts
 
 
@@ -216,8 +218,8 @@ def units_of_curve(
         if which:
             own = tuple(axes[k] for k in which)
             word = 1.0 if sensor in given else None
-            found.append(Shown(own, 1.0 / time[0], float(np.median(white[which])), given=word))
-    return unit_facts(found)
+            found.append(_Shown(own, 1.0 / time[0], float(np.median(white[which])), given=word))
+    return _doubts(found)
 
 
 def groups(axes: Sequence[Axis], sensor: Sensor) -> list[list[int]]:
@@ -229,7 +231,7 @@ def groups(axes: Sequence[Axis], sensor: Sensor) -> list[list[int]]:
     return list(found.values())
 
 
-def unit_facts(shown: Sequence[Shown]) -> list[Fact]:
+def _doubts(shown: Sequence[_Shown]) -> list[Fact]:
     """Return facts about units that are in doubt: of gyros, of accelerometers, or of both in this order."""
     every = [_units(x) for x in shown]
     alone = [_log_likelihood(x, units) for x, units in zip(shown, every, strict=True)]
@@ -257,7 +259,7 @@ def unit_facts(shown: Sequence[Shown]) -> list[Fact]:
 # --- Probabilities -----------------------------------------------------------------------------------------
 
 
-def _units(x: Shown) -> _Units:
+def _units(x: _Shown) -> _Units:
     """Return the units that samples may be in."""
     own = parse_sample_unit(x.axes[0].unit, x.sensor)
     factors = {own.name: 1.0}
@@ -280,14 +282,14 @@ def _units(x: Shown) -> _Units:
     return _Units(tuple(factors), np.array([*factors.values()]), np.array([*often.values()]))
 
 
-def _prior(x: Shown, units: _Units, wrong: float) -> _OfUnits:
+def _prior(x: _Shown, units: _Units, wrong: float) -> _OfUnits:
     """Return the probabilities of units before what the sensor shows; `wrong` is that of a wrong label."""
     wrong = wrong if x.given is None else _GIVEN
     own = np.arange(len(units.names)) == 0
     return (1.0 - wrong) * own + wrong * units.usual / units.usual.sum()
 
 
-def _joint_prior(shown: Sequence[Shown], every: Sequence[_Units]) -> Float[np.ndarray, "gyro accel"]:
+def _joint_prior(shown: Sequence[_Shown], every: Sequence[_Units]) -> Float[np.ndarray, "gyro accel"]:
     """Return the probabilities of the units of both sensors before what they show."""
     given = [x.given for x in shown if x.given is not None]
     template = 0.0 if given else _TEMPLATE
@@ -299,16 +301,15 @@ def _joint_prior(shown: Sequence[Shown], every: Sequence[_Units]) -> Float[np.nd
     return (1.0 - template) * np.outer(*single) + template * pairs / pairs.sum()
 
 
-def _log_likelihood(x: Shown, units: _Units) -> _OfUnits:
+def _log_likelihood(x: _Shown, units: _Units) -> _OfUnits:
     """Return the log-likelihood of each unit from what the sensor itself shows."""
     counts, other = (np.array([name == kind for name in units.names]) for kind in (_COUNTS, _OTHER))
 
     def of(size: float, laws: _Laws, number: float, laws_of_counts: _Laws) -> _OfUnits:
         sizes = np.maximum(np.where(np.isfinite(units.factors), size * units.factors, 1.0), _ZERO)
-        found = np.where(
-            counts, _mixture(laws_of_counts, np.full_like(sizes, max(number, _ZERO))), _mixture(laws, sizes)
-        )
-        return np.where(other, _mixture(_ANYWHERE, np.ones(1)), found)
+        in_counts = _mixture(laws_of_counts, np.full_like(sizes, max(number, _ZERO)))
+        anywhere = _mixture(_ANYWHERE, np.ones_like(sizes))
+        return np.where(other, anywhere, np.where(counts, in_counts, _mixture(laws, sizes)))
 
     found, per = np.zeros(len(units.names)), 1.0 / x.scale
     if x.noise > 0.0:
@@ -318,9 +319,8 @@ def _log_likelihood(x: Shown, units: _Units) -> _OfUnits:
             laws = tuple(law._replace(high=max(law.high, size)) for law in laws)
         found += of(size, laws, x.noise * np.sqrt(x.rate) * per, _NOISE_COUNTS)
     whole = DEG if x.sensor == "gyro" else STANDARD_GRAVITY
-    if x.mean and not (x.moves and x.sensor == "gyro"):
-        laws = _MOVING if x.moves else _TRIAD if len(x.axes) >= 3 else _FEWER
-        found += of(x.mean / whole, _BIAS if x.sensor == "gyro" else laws, x.mean * per, _MEAN_COUNTS)
+    if x.mean:
+        found += of(x.mean / whole, _means(x), x.mean * per, _MEAN_COUNTS)
     if x.step > 0.0:
         steps = np.where(np.isfinite(units.factors), x.step * units.factors / whole, 1e-9)
         octaves = np.log2(steps[:, None] / _KNOWN[x.sensor])
@@ -330,19 +330,28 @@ def _log_likelihood(x: Shown, units: _Units) -> _OfUnits:
     return found
 
 
-def _log_ratio(shown: Sequence[Shown], every: Sequence[_Units]) -> Float[np.ndarray, "gyro accel"]:
-    """Return the log-likelihood of pairs of units from the ratio of the white noise of the sensors."""
+def _means(x: _Shown) -> _Laws:
+    """Return the law of the size of the mean [deg/s or g]."""
+    if x.moves:
+        return _TURNING if x.sensor == "gyro" else _MOVING
+    if x.sensor == "gyro":
+        return _BIAS
+    return _TRIAD if len(x.axes) >= 3 else _FEWER
+
+
+def _log_ratio(shown: Sequence[_Shown], every: Sequence[_Units]) -> Float[np.ndarray, "gyro accel"]:
+    """Return the log-likelihood of pairs of units from the ratio of the white noise of the sensors.
+
+    It is zero within the range of the ratio: that each noise is one that sensors have is counted already.
+    """
     gyro, accel = (
         x.noise / _ROOT_HOUR[x.sensor] * units.factors for x, units in zip(shown, every, strict=True)
     )
-    with np.errstate(divide="ignore", invalid="ignore"):
-        ratio = gyro[:, None] / accel
-        ratio = np.maximum(ratio, np.minimum(ratio / np.minimum(accel / _MEMS, 1.0), 1.0))
-    known = np.isfinite(ratio) & (ratio > 0.0) & (not any(x.moves for x in shown))
-    # Even within its range: that the noise is in the range of both sensors is counted already.
-    return np.where(
-        known, _RATIO.log_density(np.where(known, ratio, 1.0)) - _RATIO.log_density(np.ones(1)), 0.0
-    )
+    if any(x.moves or not x.noise for x in shown):
+        return np.zeros((len(gyro), len(accel)))
+    ratio = gyro[:, None] / accel
+    ratio = np.maximum(ratio, np.minimum(ratio / np.minimum(accel / _MEMS, 1.0), 1.0))
+    return np.nan_to_num(_RATIO.log_density(ratio) - _RATIO.log_density(np.ones(1)))
 
 
 def _mixture(laws: _Laws, value: _OfUnits) -> _OfUnits:
@@ -359,7 +368,7 @@ def _normalised(log_odds: np.ndarray) -> np.ndarray:
 # --- Words -------------------------------------------------------------------------------------------------
 
 
-def _finding(x: Shown) -> str:
+def _finding(x: _Shown) -> str:
     """Return what the sensor shows, as read."""
     if x.mean is None:
         return f"as read ({x.unit}) the {_SENSORS[x.sensor]} have {x.noise_in(1.0)} of noise"
@@ -370,7 +379,7 @@ def _finding(x: Shown) -> str:
     return f"as read ({x.unit}) the {_SENSORS[x.sensor]} average {mean} with {x.noise_in(1.0)} of noise"
 
 
-def _beside(x: Shown, units: _Units, odds: _OfUnits) -> str:
+def _beside(x: _Shown, units: _Units, odds: _OfUnits) -> str:
     """Return what the other sensor shows, or that its own label is wrong, and by which factor."""
     best, name, given = int(np.argmax(odds)), _SENSORS[x.sensor], x.given or 1.0
     if best == 0 and abs(given - 1.0) < _PRECISION:
@@ -381,7 +390,7 @@ def _beside(x: Shown, units: _Units, odds: _OfUnits) -> str:
     return f", and the {name} are probably in {units.names[best]}, not {x.unit}{factor}"
 
 
-def _advice(x: Shown, units: _Units, odds: _OfUnits, impossible: bool) -> str:
+def _advice(x: _Shown, units: _Units, odds: _OfUnits, impossible: bool) -> str:
     """Return the probable unit and what to do."""
     best, option = 1 + int(np.argmax(odds[1:])), f"--{x.sensor}-unit"
     name, factor = units.names[best], units.factors[best]
