@@ -178,7 +178,7 @@ def said_of(seed: int, true: Pair, label: Pair, axes: str) -> tuple[str, Said]:
     return drawn.grade, judged(aj.inspect(recording).facts, true, label, {a.sensor for a in recording.axes})
 
 
-def run(*, right: int = 1000, wrong: int = 100, curves: int = 100, seed: int = 1_000_000) -> Iterator[str]:
+def run(*, right: int = 600, wrong: int = 60, curves: int = 60, seed: int = 1_000_000) -> Iterator[str]:
     """Right: records of each kind, and curves, with right labels; wrong, curves: of each error."""
     believed = [(axes, pairs) for axes, pairs in (*((a, RIGHT) for a in AXES), ("curves", RIGHT_CURVES))]
     errors = [("all axes", wrong, *pair) for pair in WRONG] + [
