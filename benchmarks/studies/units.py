@@ -27,7 +27,7 @@ import allanjax as aj
 from benchmarks.common.hidden_sensors import GRADES, log_uniform
 from benchmarks.common.study import run_tasks, table
 
-QUICK: dict[str, Any] = {"right": 20, "wrong": 2, "curves": 2}
+QUICK: dict[str, Any] = {"right": 8, "wrong": 1, "curves": 1}
 NAMES = tuple(f"{sensor}_{axis}" for sensor in ("gyro", "accel") for axis in "xyz")
 ORDER = ("navigation", "tactical", "consumer")
 DEG, G = np.pi / 180.0, 9.80665
