@@ -74,9 +74,10 @@ _ZERO = 1e-12
 _ROOT_HOUR: dict[Sensor, float] = {"gyro": DEG / 60.0, "accel": 1.0 / 60.0}
 # Its range in sensors, from the best of navigation grade to consumer sensors of 1 mg/√Hz.
 _NOISE: dict[Sensor, _Laws] = {"gyro": (_Law(2e-4, 4.0, 0.5),), "accel": (_Law(1e-3, 0.6, 0.5),)}
-# Ratio of the two, of tested units from 0.17 (fibre-optic gyros beside MEMS accelerometers) to 30; and the
-# noise of accelerometers [m/s/√h] below which they are not MEMS, and may be beside better gyros.
-_RATIO, _MEMS = _Law(0.13, 55.0, 0.1), 0.03
+# Ratio of the two, of tested units from 0.17 (fibre-optic gyros beside MEMS accelerometers) to 30, of
+# which a defective gyro may have four times more; and the noise of accelerometers [m/s/√h] below which they
+# are not MEMS, and may be beside better gyros.
+_RATIO, _MEMS = _Law(0.13, 120.0, 0.1), 0.03
 # Size of the mean of gyros at rest [deg/s]: biases, or the earth's rate.
 _BIAS = (_Law(_ZERO, 9.5, 0.17, 0.95), _Law(0.98 * EARTH_RATE / DEG, 1.02 * EARTH_RATE / DEG, 0.01, 0.05))
 # That of gyros that turn, as a range of sensors allows.
