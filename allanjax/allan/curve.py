@@ -148,7 +148,8 @@ def read_curve(
         labels = ", ".join(c.label for c in every)
         raise source.error(f"no column of {wanted}, among {labels}; name them with columns= (--columns)")
     tau = convert(times[0].values, times[0].unit or "s", "s")
-    axes = _axes(chosen, {"gyro": gyro_unit, "accel": accel_unit}, source)
+    units: dict[Sensor, str | None] = {"gyro": gyro_unit, "accel": accel_unit}
+    axes = _axes(chosen, units, source)
     scale = [rate_unit_of(axis.unit, axis.sensor)[1] for axis in axes]
     values = [np.sqrt(c.values) if c.role == "variance" else c.values for c in chosen]
     deviation, notes = np.stack(values, axis=1) * scale, ["overlapping Allan deviations are assumed"]
@@ -160,7 +161,8 @@ def read_curve(
         raise source.error("fewer than two rows with positive deviations of every axis")
     extra = {c.role: c.values[order] for c in every if c.role in ("size", "count")}
     found = _curve(tau[order], deviation[order], axes, rate, duration, extra, notes, source)
-    return replace(found, name=name_of(Path(path)))
+    given = tuple(sensor for sensor in SENSORS if units[sensor] is not None)
+    return replace(found, name=name_of(Path(path)), given=given)
 
 
 def _columns(path: Path, source: Source, columns: str | Sequence[str] | None) -> list[_Column]:

@@ -36,6 +36,7 @@ from allanjax.record.completion import widening
 from allanjax.record.io.given import RecordingLike, Samples, samples_of
 from allanjax.record.recording import Axis, Recording
 from allanjax.record.units import (
+    Sensor,
     default_coefficient_unit,
     unit_scale,
 )
@@ -66,6 +67,7 @@ class AllanDeviation(ByValue, OfAxes):
         others: rate samples of each other segment whose differences are averaged, too.
         name, notes: name of the file and what was assumed, if the curve was read from one (`read_curve`).
         determined: whether rate and length are known, without which a fit has no intervals.
+        given: sensors whose unit the user gave when the curve was read.
     """
 
     PER_AXIS: ClassVar[tuple[str, ...]] = ("deviation", "edf")
@@ -85,6 +87,7 @@ class AllanDeviation(ByValue, OfAxes):
     name: str = ""
     notes: tuple[str, ...] = ()
     determined: bool = True
+    given: tuple[Sensor, ...] = ()
 
     @property
     def unknown(self) -> tuple[str, ...]:

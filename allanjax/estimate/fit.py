@@ -67,6 +67,8 @@ from allanjax.estimate.spectral.model import (
 from allanjax.estimate.spectral.search import Record
 from allanjax.estimate.variation import with_variations
 from allanjax.inspection import Inspection, inspect
+from allanjax.inspection.facts import ordered
+from allanjax.inspection.units import units_of_curve
 from allanjax.noise.model import Model
 from allanjax.noise.notation import ModelLike, as_model
 from allanjax.noise.terms import (
@@ -188,13 +190,19 @@ def fit_curve(curve: AllanDeviation, model: ModelLike | None = None, objective: 
     check_terms(template, "needs the record itself; leave it out for a curve")
     check_count(len(curve.cluster_size), "Allan variances", curve.n, template, curve.name)
     active = np.ones((len(curve.axes), len(template)), bool)
+    facts = units_of_curve(curve.axes, curve.cluster_time, curve.deviation, curve.given)
     fitted = fit_allan(curve, None, curve.axes, template, active)
     results, curve = with_curve(curve, template, fitted)
     if not curve.determined:
         results = tuple(r.without_intervals() if r.measured else r for r in results)
     results = tuple(r.with_misfits_felt(curve.rate) if r.converged else r for r in results)
+    doubtful = {axis: (fact.kind,) for fact in facts if fact.grave for axis in fact.axes}
+    results = tuple(
+        r.unmeasured(not_measured=doubtful[r.axis.name]) if r.converged and r.axis.name in doubtful else r
+        for r in results
+    )
     bare = dataclasses.replace(curve, name="", notes=())
-    return Fit(curve.name, template, bare, results, curve.notes)
+    return Fit(curve.name, template, bare, results, curve.notes, facts=ordered(facts))
 
 
 def fit_inspected(

@@ -8,6 +8,7 @@ import json
 import os
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any, TypeVar
 from zipfile import BadZipFile
 
@@ -30,13 +31,14 @@ from allanjax.noise.notation import ModelLike, as_model
 from allanjax.record.columns import Axis, DeadAxis, axes_of, recognise, scales_of
 from allanjax.record.io.chunks import ChunkedRecording
 from allanjax.record.io.memory import real_numbers
+from allanjax.record.units import Sensor
 from allanjax.record.validation import Source
 from allanjax.spectrum.cosine import SegmentedLevel, SegmentSpectra
 
 # Samples that are processed at once: a call of a compiled program costs as much as many; more need memory.
 _GATHERED = 1 << 17
 # Version of the format of snapshots.
-_FORMAT = 4
+_FORMAT = 5
 
 _FROM_RECORD = (
     "cannot be estimated from the averaged spectrum of a stream; leave it out, or read a part that fits into "
@@ -61,7 +63,13 @@ class AllanAccumulator:
     """
 
     def __init__(
-        self, rate: float, axes: Sequence[Axis | str] = ("gyro",), *, start: int = 0, name: str = ""
+        self,
+        rate: float,
+        axes: Sequence[Axis | str] = ("gyro",),
+        *,
+        start: int = 0,
+        name: str = "",
+        given: Mapping[Sensor, float] = MappingProxyType({}),
     ) -> None:
         """Make an accumulator of no samples.
 
@@ -70,6 +78,7 @@ class AllanAccumulator:
             axes: axes of the samples, in order: names such as `gyro_x` or `accel`, or axes of a recording.
             start: number of samples before the first one, for a piece that is merged later.
             name: name for display.
+            given: sensors whose unit was given, as in `Recording`.
 
         Raises:
             AllanjaxError: a rate that is not positive, or a negative start.
@@ -80,7 +89,7 @@ class AllanAccumulator:
         if start < 0:
             raise AllanjaxError(f"start must not be negative, not {start}")
         self.rate, self.start, self.name = float(rate), start, name
-        self.axes = _axes(axes)
+        self.axes, self.given = _axes(axes), dict(given)
         empty = np.zeros((0, len(self.axes)))
         self._pyramid = Pyramid.of(empty, start)
         self._spectra = SegmentSpectra.of(empty, self.rate, start)
@@ -148,7 +157,7 @@ class AllanAccumulator:
             )
         for piece in (self, right):
             piece._flush()
-        merged = AllanAccumulator(self.rate, self.axes, start=self.start, name=self.name)
+        merged = AllanAccumulator(self.rate, self.axes, start=self.start, name=self.name, given=self.given)
         merged._pyramid = self._pyramid.merge(right._pyramid)
         merged._spectra = self._spectra.merge(right._spectra)
         merged._windows = self._windows.merge(right._windows)
@@ -182,7 +191,11 @@ class AllanAccumulator:
         if not keep.any():
             raise FitError(f"{self.name or 'the stream'}: {dead[0].axis.name} is {dead[0].reason}")
         living = AllanAccumulator(
-            self.rate, list(itertools.compress(self.axes, keep)), start=self.start, name=self.name
+            self.rate,
+            list(itertools.compress(self.axes, keep)),
+            start=self.start,
+            name=self.name,
+            given=self.given,
         )
         living._pyramid, living._spectra = self._pyramid.of_axes(keep), self._spectra.of_axes(keep)
         living._windows, living._ends = self._windows.of_axes(keep), self._ends.of_axes(keep)
@@ -218,6 +231,7 @@ class AllanAccumulator:
             vibrating=vibrating,
             ends=living._ends,
             dead=self.dead,
+            given=self.given,
         )
 
     def fit(
@@ -285,6 +299,7 @@ class AllanAccumulator:
             "name": self.name,
             "axes": [dataclasses.asdict(axis) for axis in self.axes],
             "silent": self._silent.tolist(),
+            "given": self.given,
         }
         arrays = {"header": np.array(json.dumps(header))}
         arrays |= _packed(self._pyramid, "pyramid") | _packed(self._spectra, "spectra")
@@ -316,7 +331,8 @@ class AllanAccumulator:
                         "restore it with the version of allanjax that wrote it"
                     )
                 axes = [Axis(**axis) for axis in header["axes"]]
-                found = cls(header["rate"], axes, start=header["start"], name=header["name"])
+                more = {key: header[key] for key in ("start", "name", "given")}
+                found = cls(header["rate"], axes, **more)
                 found._silent = np.array(header.get("silent", [False] * len(axes)), bool)
                 found._pyramid = _unpacked(Pyramid, arrays, "pyramid")
                 found._spectra = _unpacked(SegmentSpectra, arrays, "spectra")
@@ -376,7 +392,9 @@ def accumulate(
         RecordingError: the file has bad values, gaps or damaged rows; the message gives the place.
     """
     expect(recording, ChunkedRecording, "accumulate takes what read_chunks returns")
-    accumulator = AllanAccumulator(recording.rate, recording.axes, start=start, name=recording.name)
+    accumulator = AllanAccumulator(
+        recording.rate, recording.axes, start=start, name=recording.name, given=recording.given
+    )
     for samples in recording:
         accumulator.update(samples)
         if progress is not None:

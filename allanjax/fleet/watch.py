@@ -191,7 +191,7 @@ class Watch:
 
     def _fits_of(self, recording: ChunkedRecording) -> Iterator[Fit]:
         """Yield the fit of a piece from time to time, and when it ends."""
-        so_far = AllanAccumulator(recording.rate, recording.axes, name=recording.name)
+        so_far = AllanAccumulator(recording.rate, recording.axes, name=recording.name, given=recording.given)
         seen: Inspection | None = None
         fitted, due = 0, 0.0
         for samples in self._samples(recording):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Iterator, Mapping, Sequence
+from types import MappingProxyType
 from typing import Literal
 
 import numpy as np
@@ -19,10 +20,9 @@ from allanjax.inspection.facts import Fact, amount, grid, listed, ordered, span,
 from allanjax.inspection.levels import levels_of
 from allanjax.inspection.plausible import (
     Ends,
-    accelerometers,
     dead_facts,
     describe_jitter,
-    implausible,
+    rate_facts,
     resolved,
     sampling_facts,
     saturated,
@@ -31,6 +31,7 @@ from allanjax.inspection.plausible import (
     temperatures,
 )
 from allanjax.inspection.spectral import spectral_facts
+from allanjax.inspection.units import groups, units_of_record
 from allanjax.inspection.windows import (
     IN_MOTION,
     OfAxes,
@@ -46,7 +47,7 @@ from allanjax.inspection.windows import (
 )
 from allanjax.record.completion import bridged, completed
 from allanjax.record.recording import Axis, DeadAxis, Recording
-from allanjax.record.units import rate_unit_of
+from allanjax.record.units import Sensor, rate_unit_of
 
 _NOT_EXAMINED = "not examined in a stream: outliers, lines, interpolated samples, temperature"
 _EXAMINED = "to check these, read a part of the file as a whole (--start, --stop)"
@@ -209,6 +210,7 @@ def inspect(
         may_move=may_move,
         recording=recording,
         spikes=spikes,
+        given=recording.given,
     )
 
 
@@ -225,12 +227,13 @@ def look(
     spikes: Sequence[Which] = (),
     ends: Ends | None = None,
     dead: Sequence[DeadAxis] = (),
+    given: Mapping[Sensor, float] = MappingProxyType({}),
 ) -> Inspection:
     """Return the inspection of a recording with this rate [Hz], given its windows; see `inspect`.
 
     For a recording in memory, `recording` is the recording and `spikes` are the isolated outliers of its
     axes, without which the windows were computed. For a stream, `ends` are the ends of its range, and `dead`
-    its dead axes.
+    its dead axes. `given` is as in `Recording`.
     """
     windows, n = windows.closed(), windows.n
     sensors, names = [axis.sensor for axis in axes], tuple(axis.name for axis in axes)
@@ -249,13 +252,22 @@ def look(
     rms = np.sqrt(rms_within(part) ** 2 + np.average((part.mean - mean) ** 2, axis=0, weights=part.count))
     moving = motions(part, axes, rate)
     about = {sensors[m.axis] for m in moving}
-    auxiliary = {} if recording is None else recording.auxiliary
     # Allan deviation times the root of the cluster time, for cluster times up to a second.
     squares, time = mean_squares(part), 2.0 ** np.arange(len(part.power)) / rate
     known = np.isfinite(squares).any(axis=(1, 2)) & (time <= max(1.0, time[0]))
     white = np.sqrt(np.nanmean(squares[known], axis=1) / 2.0 * time[known, None])
-    given = {} if recording is None else recording.given
-    facts = implausible(axes, rate, mean, white, auxiliary, about, vibrating, given)
+    if recording is None:
+        more, steps = resolved(part, axes, None)
+        added_noise = steps / np.sqrt(12.0)
+        more += [*dead_facts(dead), Fact("not examined", _NOT_EXAMINED, names, remedy=_EXAMINED)]
+        more += [] if ends is None else saturated(axes, ends, steps)
+    else:
+        if parts:
+            inside = np.any([(recording.time >= a) & (recording.time < b) for a, b in parts], axis=0)
+            spikes = [at & inside for at in spikes]
+        more, steps, added_noise = _of_samples(recording, part, longest, spikes, treatment.lost)
+    facts = rate_facts(axes, rate, {} if recording is None else recording.auxiliary)
+    facts += units_of_record(axes, rate, mean, white, steps, about, vibrating, given)
     if as_is:
         facts = [dataclasses.replace(fact, consequence="none") for fact in facts]
     # With a wrong unit noise looks like motion.
@@ -271,16 +283,6 @@ def look(
         )
         # The warning about motion comes first and is reason enough.
         refusal = None
-    if parts and recording is not None:
-        inside = np.any([(recording.time >= a) & (recording.time < b) for a, b in parts], axis=0)
-        spikes = [at & inside for at in spikes]
-    if recording is None:
-        more, steps = resolved(part, axes, None)
-        added_noise = steps / np.sqrt(12.0)
-        more += [*dead_facts(dead), Fact("not examined", _NOT_EXAMINED, names, remedy=_EXAMINED)]
-        more += [] if ends is None else saturated(axes, ends, steps)
-    else:
-        more, steps, added_noise = _of_samples(recording, part, longest, spikes, treatment.lost)
     lost = dict(treatment.lost)
     for axis, at in zip(names, () if as_is else spikes, strict=False):
         if at.any():
@@ -549,7 +551,7 @@ def _resolution(recording: Recording, inspection: Inspection) -> str:
 
 def _gravity(inspection: Inspection) -> tuple[str, Verdict]:
     """Return the size of gravity in the accelerometers, which verifies their unit."""
-    accel = max(accelerometers(inspection.axes), key=len)
+    accel = max(groups(inspection.axes, "accel"), key=len)
     size = float(np.linalg.norm(inspection.mean[accel]))
     unit, scale = rate_unit_of(inspection.axes[accel[0]].unit, "accel")
     off = f"{plain(size / scale, 4)} {unit}, {plain(100.0 * abs(size / _G - 1.0), 2)} % off gravity"

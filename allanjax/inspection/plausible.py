@@ -1,56 +1,31 @@
-"""Plausibility of samples, times and units: gravity, resolution, range, jitter, gaps."""
+"""Plausibility of samples and times: rate, resolution, range, jitter, gaps."""
 
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Collection, Iterator, Mapping, Sequence
-from types import MappingProxyType
+from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from allanjax.base.earth import STANDARD_GRAVITY as _G
 from allanjax.base.wording import duration, plain
 from allanjax.inspection.facts import Consequence, Fact, amount
-from allanjax.inspection.windows import AT_REST, DEG, OfAxes, Samples, Values, Windows, rms_within
+from allanjax.inspection.windows import OfAxes, Samples, Values, Windows, rms_within
 from allanjax.record.completion import widening
 from allanjax.record.io.grid import format_jitter
-from allanjax.record.recording import Axis, DeadAxis, Recording, scales_of
-from allanjax.record.units import Sensor, parse_sample_unit, unit_scale
+from allanjax.record.recording import Axis, DeadAxis, Recording
 
-# Tolerance of gravity measured by a triad, and by a single axis. Gravity is known to 0.3 % anywhere, biases
-# and scale factors of consumer sensors to 5 %. A tilted single axis may read anything: hence less for it.
-_TRIAD, _ALONE = 0.05, 0.01
-# A triad whose mean is within this of gravity is not questioned.
-_ABOUT = 0.2
-# A triad that averages less than this share of gravity is free of gravity: simulated, or removed.
-_NONE = 0.1
-_ACCEL_UNITS = ("m/s²", "g", "mg", "cm/s²", "ft/s²")
-_HEADER = ", or correct the unit in the header"
-# Zero-rate level beyond the specification of any gyro.
-_LARGEST_BIAS = 20.0 * DEG
-# deg/√h in rad/√s.
-_ROOT_HOUR = DEG / 60.0
-# White noise [rad/√s] below that of the best gyro made.
-_BEST_GYRO = 3e-5 * _ROOT_HOUR
-# Least and largest ratio of the gyros' white noise [deg/√h] to the accelerometers' [m/s/√h]: of tested units
-# it is 0.17 (fibre-optic gyros beside MEMS accelerometers) to 30, 57 times less if rad/s are taken for deg/s,
-# and 57 times more if deg/s are taken for rad/s.
-_LEAST_RATIO, _MOST_RATIO = 0.1, 60.0
-# White noise [m/s/√h] above which accelerometers are MEMS.
-_MEMS = 0.03
 # Possible units [s] of a column of times.
 _TIMES = {"s": 1.0, "ms": 1e-3, "µs": 1e-6, "ns": 1e-9}
 # Relative difference beyond which time stamps contradict the rate.
 _SAME_RATE = 0.05
-# Noise is white if its Allan deviation times root of cluster time varies by less than this factor.
-_FLAT = 6.0
 # Samples from which the interval of a column of times is determined.
 _COUNTED = 1 << 14
 #: Shorter recordings [s] hold little information on B and K, which show over tens of seconds.
 SHORT = 60.0
 # Shorter ones [s], and higher rates [Hz], are no records of inertial sensors.
 _HARDLY, _HIGHEST_RATE = 1.0, 5e4
+_WRONG_TIMES = "if the unit of the times is wrong, pass --time-unit, or --rate"
 # Fewer samples determine N so poorly that users are warned.
 _FEW_SAMPLES = 1000
 #: Distance from a multiple of the step, in steps, up to which a value counts as that multiple.
@@ -79,191 +54,17 @@ _PARTS, _FEWEST = 64, 12
 _CHANCE = 0.01
 
 
-def implausible(
-    axes: Sequence[Axis],
-    rate: float,
-    mean: OfAxes,
-    white: Float[np.ndarray, "scales axes"],
-    auxiliary: Mapping[str, Samples],
-    moving: Collection[str] = (),
-    vibrating: bool = False,
-    given: Mapping[Sensor, float] = MappingProxyType({}),
-) -> list[Fact]:
-    """Return facts about implausible units or an implausible rate.
-
-    Args:
-        axes: axes of the recording.
-        rate: sample rate [Hz].
-        mean: mean of each axis [rad/s or m/s²].
-        white: Allan deviation times root of cluster time, for clusters up to a second [rad/√s or m/s/√s]; the
-            least is an upper bound of the white noise N.
-        auxiliary: other columns, one of which may hold times.
-        moving: sensors that are not at rest.
-        vibrating: whether the platform is meant to move.
-        given: sensors whose unit was given, and the factor from their labels' unit to it.
-    """
-    grave: Consequence = "not a measurement"
-    facts = [Fact("rate", _rate(rate, auxiliary), tuple(axis.name for axis in axes), grave)]
-    wrong = 1.0
-    for accel in accelerometers(axes):
-        line, factor = _accel(axes, accel, rate, mean, "accel" in moving)
-        wrong = factor if factor != 1.0 else wrong
-        # The reading of a single axis depends on its tilt.
-        means: Consequence = grave if len(accel) >= 3 else "none"
-        facts.append(Fact("accel unit", line, tuple(axes[k].name for k in accel), means))
-    # If accelerometers with a plausible unit move, so do the gyros.
-    moves = vibrating or ("accel" in moving and not any(fact.text for fact in facts[1:]))
-    gyros = tuple(axis.name for axis in axes if axis.sensor == "gyro")
-    doubt = _gyro(axes, mean, white, "gyro" in moving, moves) or _doubtful(axes, white, rate, wrong, given)
-    facts.append(Fact("gyro unit", doubt, gyros, grave))
-    return [fact for fact in facts if fact.text]
+def rate_facts(axes: Sequence[Axis], rate: float, auxiliary: Mapping[str, Samples]) -> list[Fact]:
+    """Return a fact about a rate [Hz] that no sensor has, or that an unused column of times contradicts."""
+    finding, remedy = f"the rate is {rate:g} Hz, which no inertial sensor has", _WRONG_TIMES
+    if rate <= _HIGHEST_RATE:
+        finding, remedy = _contradiction(rate, auxiliary)
+    names = tuple(axis.name for axis in axes)
+    return [Fact("rate", finding, names, "not a measurement", remedy=remedy)] if finding else []
 
 
-def accelerometers(axes: Sequence[Axis]) -> list[list[int]]:
-    """Return the axes of each accelerometer: indices of names that differ only in the last letter."""
-    groups: dict[str, list[int]] = {}
-    for k, axis in enumerate(axes):
-        if axis.sensor == "accel":
-            groups.setdefault(axis.name.rstrip("xyz"), []).append(k)
-    return list(groups.values())
-
-
-def _accel(
-    axes: Sequence[Axis], accel: Sequence[int], rate: float, mean: OfAxes, moving: bool
-) -> tuple[str, float]:
-    """Return a warning about an accelerometer that does not measure gravity, or "", and a likely factor."""
-    size = float(np.linalg.norm(mean[accel]))
-    triad = len(accel) >= 3
-    if abs(size / _G - 1.0) < _ABOUT or size == 0.0:
-        return "", 1.0
-    own = parse_sample_unit(axes[accel[0]].unit, "accel")
-    number = size / scales_of([axes[accel[0]]], rate)[0]
-    wrong = f"the accelerometers average {number:.4g} {own.name}, but gravity is 9.81 m/s²"
-    tolerance = _TRIAD if triad else _ALONE
-
-    def is_gravity(acceleration: float) -> bool:
-        return abs(acceleration / _G - 1.0) < tolerance
-
-    if own.quantity == "increment":
-        for factor in (10.0, 0.1, 100.0, 0.01):
-            if is_gravity(size / factor):
-                probable = rate / factor
-                text = (
-                    f"{wrong} ({_G / size * number:.4g} {own.name} at {rate:g} Hz); the rate is probably "
-                    f"{probable:g} Hz: pass --rate {probable:g}"
-                )
-                return text, 1.0
-    for other in _ACCEL_UNITS:
-        scale = unit_scale(other, "accel")
-        if is_gravity(number * scale):
-            option = f"--accel-unit {other.replace('²', '^2')}"
-            text = f"{wrong}; the unit is probably {other}: pass {option}{_HEADER}"
-            return text, number * scale / size
-    if own.quantity == "rate" and is_gravity(size * rate):
-        text = (
-            f"{wrong} ({_G / rate:.4g} m/s per sample); the samples are probably increments: pass "
-            f"--accel-unit m/s{_HEADER}"
-        )
-        return text, rate
-    if triad and not moving and size > _NONE * _G:
-        return f"{wrong}; is the unit right (--accel-unit), and is the range wide enough?", 1.0
-    return "", 1.0
-
-
-def _gyro(
-    axes: Sequence[Axis],
-    mean: OfAxes,
-    white: Float[np.ndarray, "scales axes"],
-    moving: bool,
-    platform_moves: bool,
-) -> str:
-    """Return a warning about gyros whose bias or noise is implausible at rest, or ""."""
-    gyros = [k for k, axis in enumerate(axes) if axis.sensor == "gyro"]
-    if not gyros:
-        return ""
-    unit = axes[gyros[0]].unit
-    noise, bias = float(np.median(white.min(axis=0)[gyros])), float(abs(mean[gyros]).max())
-    # Motion is not white, but noise in another unit still is.
-    flat = bool(np.median((white.max(axis=0) - _FLAT * white.min(axis=0))[gyros]) < 0.0)
-    density = f"{plain(noise / _ROOT_HOUR, 2)} deg/√h"
-    known = f"as read ({unit}) the gyros average {plain(bias / DEG, 3)} deg/s with {density} of noise"
-    beyond = (noise > AT_REST["gyro"] and flat) or (bias > _LARGEST_BIAS and not moving)
-    if beyond and not platform_moves:
-        remedy = "is the unit right? (--gyro-unit)"
-        if "deg" not in unit:
-            remedy = f"if the values are in deg/s, pass --gyro-unit deg/s{_HEADER}"
-        return f"{known}; that is implausible at rest: {remedy}"
-    if 0.0 < noise < _BEST_GYRO:
-        return f"{known}; the best gyros have 0.0001 deg/√h: is the unit right? (--gyro-unit)"
-    accel = [k for k, axis in enumerate(axes) if axis.sensor == "accel"]
-    if accel and "rad" not in unit:
-        beside = float(np.median(white.min(axis=0)[accel])) * 60.0
-        if 0.0 < noise / _ROOT_HOUR < _LEAST_RATIO * beside and beside > _MEMS:
-            return (
-                f"{known}; that is too little beside accelerometers with {plain(beside, 2)} m/s/√h: if the "
-                f"values are in rad/s, pass --gyro-unit rad/s{_HEADER}"
-            )
-    return ""
-
-
-def _doubtful(
-    axes: Sequence[Axis],
-    white: Float[np.ndarray, "scales axes"],
-    rate: float,
-    factor: float,
-    given: Mapping[Sensor, float],
-) -> str:
-    """Return a warning about gyros whose unit is doubtful beside the accelerometers, or "".
-
-    A label that is wrong for the accelerometers is probably wrong for the gyros, too.
-
-    Args:
-        axes, white, rate, given: as for `implausible`.
-        factor: factor from the accelerometers' samples as read to those in their probable unit.
-    """
-    gyros = [k for k, axis in enumerate(axes) if axis.sensor == "gyro"]
-    accel = [k for k, axis in enumerate(axes) if axis.sensor == "accel"]
-    if not gyros or not accel or "gyro" in given:
-        return ""
-    noise = float(np.median(white.min(axis=0)[gyros])) / _ROOT_HOUR
-    beside = float(np.median(white.min(axis=0)[accel])) * 60.0 * factor
-    unit = parse_sample_unit(axes[gyros[0]].unit, "gyro").name
-    why, others = "", dict[str, float]()
-    # Samples in a given unit are right, but their label was wrong.
-    factor = factor * given.get("accel", 1.0)
-    if factor != 1.0:
-        why = "the label of the accelerometers is wrong, which puts that of the gyros in doubt"
-        # From m/s² to g or mg, from g to m/s², and from rates to increments.
-        if unit == "rad/s" and _is_about(factor, _G, _G / 1e3):
-            others = {"deg/s": DEG}
-        elif unit == "deg/s" and _is_about(factor, 1.0 / _G):
-            others = {"rad/s": 1.0 / DEG}
-        elif _is_about(factor, rate):
-            others = {unit.removesuffix("/s"): rate}
-    elif unit == "rad/s" and noise > _MOST_RATIO * beside > 0.0:
-        why = f"that is too much beside accelerometers with {plain(beside, 2)} m/s/√h"
-        others = {"deg/s": DEG}
-    for other, scale in others.items():
-        return (
-            f"as read ({unit}) the gyros have {plain(noise, 3)} deg/√h of noise; {why}: in {other} it is "
-            f"{plain(noise * scale, 3)} deg/√h: pass --gyro-unit {other}, or --gyro-unit {unit} if that is "
-            "right"
-        )
-    return ""
-
-
-def _is_about(factor: float, *wanted: float) -> bool:
-    """Return whether a factor is one of these, within the tolerance of gravity."""
-    return any(abs(factor / one - 1.0) < _TRIAD for one in wanted)
-
-
-def _rate(rate: float, auxiliary: Mapping[str, Samples]) -> str:
-    """Return a warning about a rate that no sensor has, or that an unused column contradicts, or ""."""
-    if rate > _HIGHEST_RATE:
-        return (
-            f"the rate is {rate:g} Hz, which no inertial sensor has; if the unit of the times is wrong, pass "
-            "--time-unit, or --rate"
-        )
+def _contradiction(rate: float, auxiliary: Mapping[str, Samples]) -> tuple[str, str]:
+    """Return the rate that an unused column of times implies, if it is another one, and what to do."""
     for name, column in auxiliary.items():
         if not ("time" in name.lower() or name.lower() in ("t", "stamp")):
             continue
@@ -273,29 +74,28 @@ def _rate(rate: float, auxiliary: Mapping[str, Samples]) -> str:
         rates = {1.0 / (step * size): unit for unit, size in _TIMES.items()}
         nearest = min(rates, key=lambda r: abs(np.log(r / rate)))
         if abs(nearest / rate - 1.0) > _SAME_RATE:
-            return (
-                f"the rate is {rate:g} Hz, but column {name!r} implies {nearest:.4g} Hz (if in "
-                f"{rates[nearest]}); if the rate is wrong, use the column with --time {name}, or its rate "
-                "with "
-                f"--time none --rate {nearest:.6g} (rate={nearest:.6g})"
+            implied = f"column {name!r} implies {nearest:.4g} Hz (if in {rates[nearest]})"
+            remedy = (
+                f"if the rate is wrong, use the column with --time {name}, or its rate with --time none "
+                f"--rate {nearest:.6g} (rate={nearest:.6g})"
             )
-    return ""
+            return f"the rate is {rate:g} Hz, but {implied}", remedy
+    return "", ""
 
 
 def short(n: int, rate: float, axes: Sequence[Axis]) -> list[Fact]:
     """Return a fact about a recording of n samples at this rate [Hz] if it is short."""
-    if n >= _FEW_SAMPLES and n / rate >= SHORT:
+    length = n / rate
+    if n >= _FEW_SAMPLES and length >= SHORT:
         return []
-    if n / rate < _HARDLY:
-        line = (
-            f"{n:,} samples last {n / rate:.3g} s only; if it was longer, the unit of the times is wrong: "
-            "pass --time-unit, or --rate"
-        )
-        return [Fact("length", line, tuple(axis.name for axis in axes), size=n / rate, unit="s")]
-    line = f"{n / rate:.3g} s is too short for B and K, which show over tens of seconds or more"
-    if n < _FEW_SAMPLES:
-        line += f"; with {n} samples, N is known to ±{100.0 / np.sqrt(n):.0f} % at best"
-    return [Fact("length", line, tuple(axis.name for axis in axes), size=n / rate, unit="s")]
+    finding, meaning, remedy = f"{n:,} samples last {length:.3g} s only", "", _WRONG_TIMES
+    if length >= _HARDLY:
+        finding = f"{length:.3g} s is too short for B and K, which show over tens of seconds or more"
+        remedy = ""
+        if n < _FEW_SAMPLES:
+            meaning = f"with {n} samples, N is known to ±{100.0 / np.sqrt(n):.0f} % at best"
+    names = tuple(axis.name for axis in axes)
+    return [Fact("length", finding, names, size=length, unit="s", meaning=meaning, remedy=remedy)]
 
 
 def lattice(x: Samples) -> float | None:

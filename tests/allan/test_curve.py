@@ -254,3 +254,37 @@ def test_published_curves_of_real_sensors_are_fitted_sensibly():
             assert fit[axis]["N"].value == pytest.approx(N, rel=0.12), (name, axis)
     Q = curve.deviation[2:8, 4] * curve.cluster_time[2:8] / np.sqrt(3.0)
     assert fit["accel_y"]["Q"].value == pytest.approx(np.median(Q), rel=0.15)
+
+
+# Units of the numbers and of the labels; what is said of each sensor: named, not a word, or not refused.
+CURVE_UNITS = [
+    (("deg/s", "g"), ("deg/h", "g"), {"gyro unit": "deg/s"}),
+    (("deg/h", "m/s²"), ("deg/s", "m/s²"), {"gyro unit": "deg/h"}),
+    (("deg/s", "g"), ("rad/s", "m/s²"), {"gyro unit": "deg/s", "accel unit": "g"}),
+    (("deg/h", "µg"), ("deg/h", "µg"), {}),
+    (("rad/s", "m/s²"), ("rad/s", "m/s²"), {}),
+]
+
+
+@pytest.mark.parametrize(("true", "label", "named"), CURVE_UNITS)
+def test_a_curve_in_another_unit_is_no_measurement(tmp_path, true, label, named):
+    """White noise of 0.3 deg/√h and 0.1 m/s/√h, of which the deviation at 1 s follows by √3600 = 60."""
+    scale = {"deg/s": np.pi / 180.0, "deg/h": np.pi / 648_000.0, "rad/s": 1.0}
+    scale |= {"m/s²": 1.0, "g": 9.80665, "µg": 9.80665e-6}
+    tau = 2.0 ** np.arange(-6, 5)
+    white = np.array([0.3 / 60.0 * scale["deg/s"], 0.1 / 60.0]) / np.sqrt(tau)[:, None]
+    header = f"tau [s],gyro_x [{label[0]}],accel_x [{label[1]}]"
+    path = tmp_path / "curve.csv"
+    table = np.column_stack([tau, white / [scale[unit] for unit in true]])
+    np.savetxt(path, table, "%.9g", ",", header=header, comments="", encoding="utf-8")
+    fit = aj.fit(aj.read_curve(path, 64.0, 3600.0), "N")
+    assert {fact.kind for fact in fit.facts} == {*named}
+    assert [fit[axis].measured for axis in ("gyro_x", "accel_x")] == [
+        f"{sensor} unit" not in named for sensor in ("gyro", "accel")
+    ]
+    for fact in fit.facts:
+        assert fact.grave
+        assert f"pass --{fact.kind.replace(' ', '-')} {named[fact.kind]}" in fact.text
+    # What the text proposes is right.
+    units = {kind.replace(" ", "_"): unit for kind, unit in named.items()}
+    assert aj.fit(aj.read_curve(path, 64.0, 3600.0, **units), "N").facts == ()

@@ -1,7 +1,7 @@
 """Recordings that are read in chunks, again in each iteration."""
 
 import os
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -27,6 +27,7 @@ from allanjax.record.io.record import (
 )
 from allanjax.record.io.table import Columns, Table, as_float, is_numeric
 from allanjax.record.io.times import IGNORE, MAX_RATE_DIFFERENCE, Clock, Seconds
+from allanjax.record.units import Sensor
 from allanjax.record.validation import (
     Source,
     bad_cells,
@@ -55,6 +56,7 @@ class ChunkedRecording:
         name: name of the file without its suffix.
         notes: assumptions and findings of the reader that users should know.
         n: number of samples, if it is known before they are read.
+        given: sensors whose unit was given, as in `Recording`.
     """
 
     rate: float
@@ -62,6 +64,7 @@ class ChunkedRecording:
     name: str
     notes: tuple[str, ...]
     n: int | None
+    given: Mapping[Sensor, float]
     _part: "_PartOfFile"
 
     @property
@@ -181,7 +184,7 @@ def chunks_of(table: Table, name: str, options: ReadOptions, chunk: int) -> Chun
     if layout.auxiliary:
         notes += (f"not read: {', '.join(column.name for column in layout.auxiliary)}",)
     every = (*table.notes, *layout.notes, *notes, *found.notes)
-    return ChunkedRecording(found.rate, layout.axes, name, every, found.n, found.part)
+    return ChunkedRecording(found.rate, layout.axes, name, every, found.n, layout.given, found.part)
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,415 @@
+"""Probabilities of the units of gyros and accelerometers, given what both of them measure.
+
+Bayes' rule: each pair of units has a prior probability, given what the labels state, and a likelihood: the
+density of the noise, the mean and the resolution of real sensors in these units. So a label that is wrong for
+one sensor puts that of the other in doubt, and so does noise that is strange beside that of the other.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import itertools
+from collections.abc import Collection, Mapping, Sequence
+from typing import NamedTuple, TypeAlias
+
+import numpy as np
+from jaxtyping import Float
+
+from allanjax.base.earth import EARTH_RATE, STANDARD_GRAVITY
+from allanjax.base.wording import plain
+from allanjax.inspection.facts import NOT_A_MEASUREMENT, Consequence, Fact
+from allanjax.inspection.windows import DEG, OfAxes
+from allanjax.record.recording import Axis, scales_of
+from allanjax.record.units import COUNT_SIZES, SAMPLE_UNITS, SENSORS, Sensor, parse_sample_unit, unit_scale
+
+
+class _Law(NamedTuple):
+    """Density of a logarithm: even from low to high, with Gaussian shoulders of this standard deviation."""
+
+    low: float
+    high: float
+    shoulder: float
+    weight: float = 1.0
+
+    def log_density(self, value: np.ndarray) -> np.ndarray:
+        """Logarithm of the density times the weight."""
+        x, low, high = np.log(value), np.log(self.low), np.log(self.high)
+        off = (x - np.clip(x, low, high)) / self.shoulder
+        return np.log(self.weight / (high - low + np.sqrt(2.0 * np.pi) * self.shoulder)) - 0.5 * off**2
+
+
+_OfUnits: TypeAlias = Float[np.ndarray, " units"]
+_Laws: TypeAlias = tuple[_Law, ...]
+
+_COUNTS, _OTHER = "counts", "another unit"
+# Units of gyros and accelerometers that programs write, and how often: a judgement.
+_PAIRS = {
+    ("deg/s", "g"): 0.33,
+    ("rad/s", "m/s²"): 0.25,
+    ("deg/s", "m/s²"): 0.1,
+    (_COUNTS, _COUNTS): 0.08,
+    ("rad/s", "g"): 0.05,
+    ("mdeg/s", "mg"): 0.05,
+    ("rad", "m/s"): 0.05,
+    ("deg/s", "mg"): 0.03,
+    ("deg", "m/s"): 0.03,
+    ("deg/h", "µg"): 0.03,
+    ("deg/h", "m/s²"): 0.02,
+    (_OTHER, _OTHER): 0.02,
+}
+# Share of each unit that is not among them.
+_SELDOM = 0.002
+# Probabilities, all judgements: that both labels are those of a template which the data do not follow; of
+# that, if the user gave another unit than the label of one sensor; that a single label is wrong; that a unit
+# is wrong which the user gave.
+_TEMPLATE, _ONE_WAS_WRONG, _LABEL, _GIVEN = 0.01, 0.5, 0.005, 0.003
+# Least probability of a unit that is not in doubt.
+_TRUSTED = 0.8
+# Factors by which a rate that belongs to increments may be wrong.
+_RATES = (10.0, 0.1, 100.0, 0.01)
+
+# What is less, as the mean of a simulation, is zero.
+_ZERO = 1e-12
+# White noise in deg/√h and m/s/√h.
+_ROOT_HOUR: dict[Sensor, float] = {"gyro": DEG / 60.0, "accel": 1.0 / 60.0}
+# Its range in sensors, from the best of navigation grade to consumer sensors of 1 mg/√Hz.
+_NOISE: dict[Sensor, _Laws] = {"gyro": (_Law(2e-4, 4.0, 0.5),), "accel": (_Law(1e-3, 0.6, 0.5),)}
+# Ratio of the two, of tested units from 0.17 (fibre-optic gyros beside MEMS accelerometers) to 30, of
+# which a defective gyro may have four times more; and the noise of accelerometers [m/s/√h] below which they
+# are not MEMS, and may be beside better gyros.
+_RATIO, _MEMS = _Law(0.13, 120.0, 0.1), 0.03
+# Size of the mean of gyros at rest [deg/s]: biases, or the earth's rate.
+_BIAS = (_Law(_ZERO, 9.5, 0.17, 0.95), _Law(0.98 * EARTH_RATE / DEG, 1.02 * EARTH_RATE / DEG, 0.01, 0.05))
+# That of gyros that turn, as a range of sensors allows.
+_TURNING = (_Law(_ZERO, 4000.0, 0.5),)
+# That of three accelerometers in g: gravity within 5 %, as of consumer sensors, or badly calibrated; removed,
+# or not simulated. That of fewer axes is any part of it, and that of accelerometers in motion may be more.
+_GRAVITY = _Law(0.95, 1.05, 0.01, 0.9)
+_TRIAD = (_GRAVITY, _Law(0.8, 1.2, 1e-3, 0.05), _Law(_ZERO, 0.1, 0.02, 0.05))
+_FEWER = (_Law(0.98, 1.02, 0.01, 0.3), _Law(_ZERO, 1.02, 0.05, 0.7))
+_MOVING = (_GRAVITY, _Law(_ZERO, 30.0, 0.5, 0.1))
+# Noise per sample and mean in counts: less than one to hundreds, and up to 24 bits.
+_NOISE_COUNTS, _MEAN_COUNTS = (_Law(0.3, 300.0, 0.7),), (_Law(_ZERO, 2.0**24, 0.5),)
+# A quantity in a unit that is not known.
+_ANYWHERE = (_Law(_ZERO, 1e12, 1.0),)
+# Steps of the output [deg/s and g]: of few bits 0.07 deg/s and 31 mg.
+_STEP: dict[Sensor, _Laws] = {"gyro": (_Law(_ZERO, 0.1, 0.3),), "accel": (_Law(_ZERO, 0.04, 0.3),)}
+# Steps of common sensors, in the same units and times any power of two: 1/131 deg/s, 4.375 mdeg/s and
+# 250 deg/s in 2¹⁵; 1/16384 g and 0.061 mg. The relative precision of steps; the share of such sensors.
+_KNOWN: dict[Sensor, tuple[float, ...]] = {
+    "gyro": (1.0 / 131.0, 4.375e-3, 250.0 / 2**15),
+    "accel": (1.0, 0.061e-3),
+}
+_PRECISION, _COMMON = 1e-3, 0.1
+# Noise is white if its Allan deviation times root of cluster time varies by less than this factor.
+_FLAT = 6.0
+
+_SENSORS: dict[Sensor, str] = {"gyro": "gyros", "accel": "accelerometers"}
+
+
+@dataclasses.dataclass(frozen=True)
+class _Shown:
+    """What the axes of one sensor show.
+
+    Attributes:
+        axes: the axes, of one sensor.
+        rate: sample rate [Hz].
+        noise: upper bound of the white noise, as read [rad/√s or m/s/√s].
+        mean: size of the mean of all axes [rad/s or m/s²]; None for a curve.
+        step: step of the output [rad/s or m/s²], the same on all axes; 0 if there is none.
+        moves: whether motion may add to the noise and the mean.
+        given: factor from the unit of the labels to the one that the user gave, 1 without labels; None if the
+            user gave none.
+    """
+
+    axes: tuple[Axis, ...]
+    rate: float
+    noise: float
+    mean: float | None = None
+    step: float = 0.0
+    moves: bool = False
+    given: float | None = None
+
+    @property
+    def sensor(self) -> Sensor:
+        """Gyro or accel."""
+        return self.axes[0].sensor
+
+    @property
+    def unit(self) -> str:
+        """Unit of the samples as read."""
+        return parse_sample_unit(self.axes[0].unit, self.sensor).name
+
+    @property
+    def scale(self) -> float:
+        """Factor from the numbers of the record to SI, as read."""
+        return float(scales_of(self.axes[:1], self.rate)[0])
+
+    def noise_in(self, factor: float) -> str:
+        """The noise if samples are this many times as large as read, as text."""
+        unit = "deg/√h" if self.sensor == "gyro" else "m/s/√h"
+        return f"{plain(factor * self.noise / _ROOT_HOUR[self.sensor], 3)} {unit}"
+
+
+class _Units(NamedTuple):
+    """Units that samples may be in, that of the label first.
+
+    Attributes:
+        names: the units; "--rate 10" for increments at that rate.
+        factors: factor of samples in each unit to samples as read; nan if it is unknown.
+        usual: how often programs write each.
+    """
+
+    names: tuple[str, ...]
+    factors: _OfUnits
+    usual: _OfUnits
+
+
+def units_of_record(
+    axes: Sequence[Axis],
+    rate: float,
+    mean: OfAxes,
+    white: Float[np.ndarray, "scales axes"],
+    steps: OfAxes,
+    moving: Collection[Sensor],
+    vibrating: bool,
+    given: Mapping[Sensor, float],
+) -> list[Fact]:
+    """Return facts about units that are in doubt in a recording.
+
+    Args:
+        axes, rate: axes, and sample rate [Hz].
+        mean, steps: mean, and step of the output (0 for none), of each axis [rad/s or m/s²].
+        white: Allan deviation times root of cluster time, for clusters up to a second [rad/√s or m/s/√s].
+        moving: sensors that seem to move.
+        vibrating: whether the platform is meant to move.
+        given: as in `Recording`.
+    """
+    facts = []
+    for pair in itertools.zip_longest(*(groups(axes, sensor) for sensor in SENSORS)):
+        shown = []
+        for which in filter(None, pair):
+            sensor, step = axes[which[0]].sensor, steps[which]
+            # Motion is not white, but noise in another unit still is.
+            flat = np.median((white.max(axis=0) - _FLAT * white.min(axis=0))[which]) < 0.0
+            moves = vibrating or "accel" in moving or ("gyro" in moving and not flat)
+            alike = float(step[0]) if np.allclose(step, step[0], rtol=_PRECISION, atol=0.0) else 0.0
+            noise, size = np.median(white.min(axis=0)[which]), np.linalg.norm(mean[which])
+            own = tuple(axes[k] for k in which)
+            shown.append(_Shown(own, rate, float(noise), float(size), alike, moves, given.get(sensor)))
+        facts += _doubts(shown)
+    return facts
+
+
+def units_of_curve(
+    axes: Sequence[Axis],
+    time: Float[np.ndarray, " m"],
+    deviation: Float[np.ndarray, "m axes"],
+    given: Collection[Sensor],
+) -> list[Fact]:
+    """Return facts about units that are in doubt in Allan deviations [rad/s or m/s²] at cluster times [s].
+
+    `given` are the sensors whose unit the user gave.
+    """
+    short = time <= max(1.0, time[0])
+    white = (deviation * np.sqrt(time)[:, None])[short].min(axis=0)
+    found = []
+    for sensor in SENSORS:
+        which = [k for k, axis in enumerate(axes) if axis.sensor == sensor]
+        if which:
+            own = tuple(axes[k] for k in which)
+            word = 1.0 if sensor in given else None
+            found.append(_Shown(own, 1.0 / time[0], float(np.median(white[which])), given=word))
+    return _doubts(found)
+
+
+def groups(axes: Sequence[Axis], sensor: Sensor) -> list[list[int]]:
+    """Return the axes of each gyro or accelerometer: indices of names that differ only in the last letter."""
+    found: dict[str, list[int]] = {}
+    for k, axis in enumerate(axes):
+        if axis.sensor == sensor:
+            found.setdefault(axis.name.rstrip("xyz"), []).append(k)
+    return list(found.values())
+
+
+def _doubts(shown: Sequence[_Shown]) -> list[Fact]:
+    """Return facts about units that are in doubt: of gyros, of accelerometers, or of both in this order."""
+    every = [_units(x) for x in shown]
+    alone = [_log_likelihood(x, units) for x, units in zip(shown, every, strict=True)]
+    if len(shown) == 1:
+        odds = [_normalised(alone[0] + np.log(_prior(shown[0], every[0], _TEMPLATE + _LABEL)))]
+    else:
+        joint = alone[0][:, None] + alone[1] + _log_ratio(shown, every) + np.log(_joint_prior(shown, every))
+        odds = [_normalised(joint).sum(axis=1), _normalised(joint).sum(axis=0)]
+    facts = []
+    for k, (x, units) in enumerate(zip(shown, every, strict=True)):
+        if odds[k][0] >= _TRUSTED:
+            continue
+        trusting = _prior(dataclasses.replace(x, given=1.0), units, 0.0)
+        impossible = bool(_normalised(alone[k] + np.log(trusting))[0] < _TRUSTED)
+        beside = "".join(_beside(shown[j], every[j], odds[j]) for j in range(len(shown)) if j != k)
+        meaning, remedy = _advice(x, units, odds[k], impossible)
+        # The mean of few accelerometers depends on their tilt; what is given is not refused for the others.
+        tilted = x.sensor == "accel" and x.mean is not None and len(x.axes) < 3
+        sure = not tilted and (impossible or x.given is None)
+        means: Consequence = NOT_A_MEASUREMENT if sure else "none"
+        names = tuple(axis.name for axis in x.axes)
+        fact = Fact(f"{x.sensor} unit", _finding(x) + beside, names, means, meaning=meaning, remedy=remedy)
+        facts.append(fact)
+    return facts
+
+
+# --- Probabilities -----------------------------------------------------------------------------------------
+
+
+def _units(x: _Shown) -> _Units:
+    """Return the units that samples may be in."""
+    own = parse_sample_unit(x.axes[0].unit, x.sensor)
+    factors = {own.name: 1.0}
+    for quantity, names in SAMPLE_UNITS[x.sensor].items():
+        # A curve is of rates.
+        if quantity == "rate" or x.mean is not None:
+            per = x.rate if quantity == "increment" else 1.0
+            factors |= {name: unit_scale(name) * per / x.scale for name in names if name != own.name}
+    step = x.step / x.scale
+    factors |= dict.fromkeys([_COUNTS] * bool(step > 0.5 and abs(step - round(step)) < _PRECISION), np.nan)
+    factors[_OTHER] = np.nan
+    often = dict.fromkeys(factors, _SELDOM)
+    for pair, share in _PAIRS.items():
+        name = pair[x.sensor == "accel"]
+        if name in often:
+            often[name] += share
+    if own.quantity == "increment" and x.sensor == "accel":
+        factors |= {f"--rate {x.rate / ratio:g}": 1.0 / ratio for ratio in _RATES}
+        often |= dict.fromkeys([*factors][-len(_RATES) :], 1.0)
+    return _Units(tuple(factors), np.array([*factors.values()]), np.array([*often.values()]))
+
+
+def _prior(x: _Shown, units: _Units, wrong: float) -> _OfUnits:
+    """Return the probabilities of units before what the sensor shows; `wrong` is that of a wrong label."""
+    wrong = wrong if x.given is None else _GIVEN
+    own = np.arange(len(units.names)) == 0
+    return (1.0 - wrong) * own + wrong * units.usual / units.usual.sum()
+
+
+def _joint_prior(shown: Sequence[_Shown], every: Sequence[_Units]) -> Float[np.ndarray, "gyro accel"]:
+    """Return the probabilities of the units of both sensors before what they show."""
+    given = [x.given for x in shown if x.given is not None]
+    template = 0.0 if given else _TEMPLATE
+    pairs = np.array([[_PAIRS.get((a, b), _SELDOM**2) for b in every[1].names] for a in every[0].names])
+    if len(given) == 1 and abs(given[0] - 1.0) > _PRECISION:
+        template = _ONE_WAS_WRONG
+        (pairs if shown[1].given is None else pairs.T)[1:] = 0.0
+    single = [_prior(x, units, _LABEL) for x, units in zip(shown, every, strict=True)]
+    return (1.0 - template) * np.outer(*single) + template * pairs / pairs.sum()
+
+
+def _log_likelihood(x: _Shown, units: _Units) -> _OfUnits:
+    """Return the log-likelihood of each unit from what the sensor itself shows."""
+    counts, other = (np.array([name == kind for name in units.names]) for kind in (_COUNTS, _OTHER))
+
+    def of(size: float, laws: _Laws, number: float, laws_of_counts: _Laws) -> _OfUnits:
+        sizes = np.maximum(np.where(np.isfinite(units.factors), size * units.factors, 1.0), _ZERO)
+        in_counts = _mixture(laws_of_counts, np.full_like(sizes, max(number, _ZERO)))
+        anywhere = _mixture(_ANYWHERE, np.ones_like(sizes))
+        return np.where(other, anywhere, np.where(counts, in_counts, _mixture(laws, sizes)))
+
+    found, per = np.zeros(len(units.names)), 1.0 / x.scale
+    if x.noise > 0.0:
+        size, laws = x.noise / _ROOT_HOUR[x.sensor], _NOISE[x.sensor]
+        if x.moves:
+            # All of it may be motion, as read; more in another unit needs more motion.
+            laws = tuple(law._replace(high=max(law.high, size)) for law in laws)
+        found += of(size, laws, x.noise * np.sqrt(x.rate) * per, _NOISE_COUNTS)
+    whole = DEG if x.sensor == "gyro" else STANDARD_GRAVITY
+    if x.mean:
+        found += of(x.mean / whole, _means(x), x.mean * per, _MEAN_COUNTS)
+    if x.step > 0.0:
+        steps = np.where(np.isfinite(units.factors), x.step * units.factors / whole, 1e-9)
+        octaves = np.log2(steps[:, None] / _KNOWN[x.sensor])
+        known = (abs(octaves - np.rint(octaves)) < _PRECISION / np.log(2.0)).any(axis=1) & ~(counts | other)
+        by_chance = 2.0 * _PRECISION / np.log(2.0) * octaves.shape[1]
+        found += np.log(1.0 - _COMMON + _COMMON * known / by_chance) + _mixture(_STEP[x.sensor], steps)
+    return found
+
+
+def _means(x: _Shown) -> _Laws:
+    """Return the law of the size of the mean [deg/s or g]."""
+    if x.moves:
+        return _TURNING if x.sensor == "gyro" else _MOVING
+    if x.sensor == "gyro":
+        return _BIAS
+    return _TRIAD if len(x.axes) >= 3 else _FEWER
+
+
+def _log_ratio(shown: Sequence[_Shown], every: Sequence[_Units]) -> Float[np.ndarray, "gyro accel"]:
+    """Return the log-likelihood of pairs of units from the ratio of the white noise of the sensors.
+
+    It is zero within the range of the ratio: that each noise is one that sensors have is counted already.
+    """
+    gyro, accel = (
+        x.noise / _ROOT_HOUR[x.sensor] * units.factors for x, units in zip(shown, every, strict=True)
+    )
+    if any(x.moves or not x.noise for x in shown):
+        return np.zeros((len(gyro), len(accel)))
+    ratio = gyro[:, None] / accel
+    ratio = np.maximum(ratio, np.minimum(ratio / np.minimum(accel / _MEMS, 1.0), 1.0))
+    return np.nan_to_num(_RATIO.log_density(ratio) - _RATIO.log_density(np.ones(1)))
+
+
+def _mixture(laws: _Laws, value: _OfUnits) -> _OfUnits:
+    """Logarithm of the density of a mixture."""
+    return np.logaddexp.reduce([law.log_density(value) for law in laws])
+
+
+def _normalised(log_odds: np.ndarray) -> np.ndarray:
+    """Return probabilities from their logarithms up to a constant."""
+    odds = np.exp(log_odds - log_odds.max())
+    return odds / odds.sum()
+
+
+# --- Words -------------------------------------------------------------------------------------------------
+
+
+def _finding(x: _Shown) -> str:
+    """Return what the sensor shows, as read."""
+    if x.mean is None:
+        return f"as read ({x.unit}) the {_SENSORS[x.sensor]} have {x.noise_in(1.0)} of noise"
+    mean = f"{plain(x.mean / DEG, 3)} deg/s"
+    if x.sensor == "accel":
+        gravity = f"{STANDARD_GRAVITY / x.scale:.4g} {x.unit}"
+        mean = f"{x.mean / x.scale:.4g} {x.unit} (gravity is {gravity})"
+    return f"as read ({x.unit}) the {_SENSORS[x.sensor]} average {mean} with {x.noise_in(1.0)} of noise"
+
+
+def _beside(x: _Shown, units: _Units, odds: _OfUnits) -> str:
+    """Return what the other sensor shows, or that its own label is wrong, and by which factor."""
+    best, name, given = int(np.argmax(odds)), _SENSORS[x.sensor], x.given or 1.0
+    if best == 0 and abs(given - 1.0) < _PRECISION:
+        return f", beside {name} with {x.noise_in(1.0)}"
+    if best == 0:
+        return f", and the label of the {name} is wrong by a factor of {plain(given, 4)}"
+    factor = f" (a factor of {plain(units.factors[best], 4)})" if np.isfinite(units.factors[best]) else ""
+    return f", and the {name} are probably in {units.names[best]}, not {x.unit}{factor}"
+
+
+def _advice(x: _Shown, units: _Units, odds: _OfUnits, impossible: bool) -> tuple[str, str]:
+    """Return the probable unit, and what to do."""
+    best, option = 1 + int(np.argmax(odds[1:])), f"--{x.sensor}-unit"
+    name, factor = units.names[best], units.factors[best]
+    if name == _OTHER:
+        range_ = "" if x.sensor == "gyro" else ", and is the range wide enough?"
+        return "no usual unit makes that plausible", f"is the unit right ({option}){range_ or '?'}"
+    if name == _COUNTS:
+        size = COUNT_SIZES[x.sensor]
+        return "they are whole numbers, probably counts", f"give the size of one with {option}, e.g. {size}"
+    if name.startswith("--rate"):
+        return f"the rate is probably {name.removeprefix('--rate ')} Hz", f"pass {name}"
+    likely = "probably" if odds[best] > 0.5 else "perhaps"
+    told = f"the unit is {likely} {name} (a factor of {plain(factor, 4)})"
+    meaning = f"{told}, in which the noise is {x.noise_in(factor)}"
+    remedy = f"pass {option} {name.replace('²', '^2')}"
+    if x.given is not None:
+        return meaning, remedy
+    own = f"{option} {x.unit.replace('²', '^2')} if that is right"
+    return meaning, f"{remedy}, or {'correct the unit in the header' if impossible else own}"
