@@ -345,7 +345,7 @@ def test_a_wrong_label_is_named_with_its_factor_and_the_noise_in_the_right_unit(
         (unit, factor), noise, density = wanted[kind.split()[0]]
         assert fact.grave
         assert f"(a factor of {factor})" in fact.text
-        assert f": pass --{kind.replace(' ', '-')} {unit}," in fact.text
+        assert f"; pass --{kind.replace(' ', '-')} {unit}," in fact.text
         told = re.search(rf"in which the noise is ([\d.]+) {density}", fact.text)[1]
         # N of 30,000 samples within 3 %, at the scale where it is least.
         assert float(told) == pytest.approx(noise, rel=0.05)
