@@ -36,7 +36,7 @@ from allanjax.record.validation import (
     usable,
 )
 
-# Time stamps before a chunk that are checked together with those of the chunk.
+# So many time stamps before a chunk are checked together with those of the chunk.
 _BEFORE = 1024
 
 
@@ -53,16 +53,20 @@ class ChunkedRecording:
         rate: sample rate in Hz.
         axes: axes, one per column.
         name: name of the file without its suffix.
-        notes: assumptions and findings of the reader that users should know.
         n: number of samples, if it is known before they are read.
     """
 
     rate: float
     axes: tuple[Axis, ...]
     name: str
-    notes: tuple[str, ...]
     n: int | None
+    _notes: tuple[str, ...]
     _part: "_PartOfFile"
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """Assumptions and findings that users should know; complete when all samples have been read."""
+        return (*self._part.table.notes, *self._notes)
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -180,8 +184,8 @@ def chunks_of(table: Table, name: str, options: ReadOptions, chunk: int) -> Chun
         found = _counted(part, rate)
     if layout.auxiliary:
         notes += (f"not read: {', '.join(column.name for column in layout.auxiliary)}",)
-    every = (*table.notes, *layout.notes, *notes, *found.notes)
-    return ChunkedRecording(found.rate, layout.axes, name, every, found.n, found.part)
+    every = (*layout.notes, *notes, *found.notes)
+    return ChunkedRecording(found.rate, layout.axes, name, found.n, every, found.part)
 
 
 @dataclass(frozen=True)

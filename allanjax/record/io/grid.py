@@ -119,6 +119,8 @@ class Stamps:
         if self._is_coarse():
             how = self.why_even()
             places = None if how else self._demodulated()
+            # Stamps that do not tell which samples are missing do not tell where to fill them in.
+            gaps = gaps and places is not None
         if places is not None:
             return self._with_lost(places, rate, gaps)
         found = self._even(rate, how) if how else self._stamped(rate, gaps)
@@ -208,7 +210,7 @@ class Stamps:
         if gaps:
             jitter = on_grid
         filled = on_grid <= _MAX_JITTER * regular and lost <= MOST_MISSING * (lost + len(times))
-        drawn = lost if filled else 0
+        drawn = lost if filled and not self._is_coarse() else 0
         if jitter > _MAX_JITTER * regular or (np.mean(long) > _MANY_GAPS and not gaps):
             return self._error(self._irregular(long, lost, drawn, gaps), "jitter")
         if np.any(long) and not gaps:
@@ -391,8 +393,8 @@ class Stamps:
         return beyond / (0.5 * span) if span > 0.0 else np.inf
 
     def _evenly(self) -> str:
-        """Return the remedy for evenly spaced samples with uneven stamps, if the mean rate is steady."""
-        if self._unsteadiness() > MAX_RATE_DIFFERENCE:
+        """Return the remedy for evenly spaced samples with uneven stamps; "" if these may show others."""
+        if self._is_coarse() or self._unsteadiness() > MAX_RATE_DIFFERENCE:
             return ""
         how = "pass time='uniform' (--time uniform); "
         return f"if the samples are evenly spaced (at {1.0 / self._interval():.6g} Hz on average), {how}"
