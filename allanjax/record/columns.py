@@ -1,5 +1,6 @@
 """Columns, recognised by their labels as axes, time stamps or others; axes and dead axes of a recording."""
 
+import difflib
 import os
 import re
 from collections import Counter
@@ -11,10 +12,19 @@ from typing import TYPE_CHECKING, Any, ClassVar, Literal, Self, cast
 import numpy as np
 from jaxtyping import Float
 
+from allanjax.base.earth import STANDARD_GRAVITY
 from allanjax.base.errors import AllanjaxError, UnitError
 from allanjax.base.late import presented
 from allanjax.base.wording import harmless
-from allanjax.record.units import COUNT_SIZES, SENSORS, Sensor, parse_sample_unit, same_unit
+from allanjax.record.units import (
+    COUNT_SIZES,
+    SAMPLE_UNITS,
+    SENSORS,
+    Sensor,
+    parse_sample_unit,
+    same_unit,
+    unit_scale,
+)
 from allanjax.record.validation import Source
 
 if TYPE_CHECKING:
@@ -34,11 +44,11 @@ _INCREMENTS: dict[Sensor, str] = {
     "accel": r"delta_?v(?:el(?:ocity)?)?|d_?v(?:el(?:ocity)?)?",
 }
 # A letter is a sensor only alone before the axis: `gx`, not `mag_x`; or with EuRoC's frames, `w_RS_S_x`.
-_LETTERS: dict[Sensor, str] = {"gyro": "(?:g|w(?:_rs_s)?)", "accel": "a(?:_rs_s)?"}
+_LETTERS: dict[Sensor, str] = {"gyro": "(?:g|w(?:_rs_s)?)", "accel": "(?:a(?:_rs_s)?|g_f)"}
 # Words for quantities about a sensor that are not samples; and accuracies, such as `hAcc`.
 _NOT_A_SAMPLE = re.compile(
     r"(?:^|_)(?:bias|offset|scale|sigma|std|var|variance|cov|covariance|noise|accuracy|range|temp|temperature"
-    r"|time|timestamp|stamp|status|flags?|valid|health|error|errors|count|counter|clipping|clip|dt|id)(?:_|$)"
+    r"|time|timestamp|stamp|abs|absolute|magnitude|norm|status|flags?|valid|health|error|errors|count|counter|clipping|clip|dt|id)(?:_|$)"
 )
 _ACCURACY = re.compile(r"(?!imu|sensor|lin|[xyz]_)[a-z]+_acc")
 # Words at the end of a name that describe the processing.
@@ -74,6 +84,11 @@ _MAYBE_TIME = re.compile(
 )
 # Names of the cluster times of Allan curves, which are no recordings.
 _CLUSTER_TIME = re.compile(r"taus?|(?:cluster|averaging|correlation)_time")
+
+
+# Units in which accelerometers may show gravity, and to what part.
+_GRAVITY_IN = ("m/s²", "g", "mg", "cm/s²", "mm/s²", "ft/s²", *(f"g/{2**bits}" for bits in range(10, 20)))
+_ABOUT_GRAVITY = 0.1
 
 
 @dataclass(frozen=True)
@@ -168,6 +183,8 @@ def _axis(label: str, words: str, unit: str | None) -> Column | None:
             if match is not None:
                 axis = match[1] or match[2]
                 name = f"{sensor}_{axis}" if axis else sensor
+                # Of a magnetometer it is gauss.
+                unit = "g" if unit == "G" and sensor == "accel" else unit
                 return Column(label, "axis", name, sensor, unit, increment)
     return None
 
@@ -220,9 +237,15 @@ class DeadAxis:
 
 
 def axes_of(
-    columns: Sequence[Column], units: Mapping[Sensor, str | None], source: Source
+    columns: Sequence[Column],
+    units: Mapping[Sensor, str | None],
+    source: Source,
+    samples: Sequence[np.ndarray] = (),
 ) -> tuple[tuple[Axis, ...], tuple[str, ...]]:
-    """Return axes from columns, in the unit given for the sensor or else that of the label; and notes."""
+    """Return axes from columns, in the unit given for the sensor or else that of the label; and notes.
+
+    Samples of the columns serve to propose a unit where it is missing or wrong.
+    """
     axes, increments = [], []
     stated: dict[str, list[str]] = {}
     for column in distinct(columns, source):
@@ -232,8 +255,9 @@ def axes_of(
                 "accel_z, and pass other columns with auxiliary="
             )
         sensor, given = column.sensor, units[column.sensor]
-        option = f"{sensor}_unit= (--{sensor}-unit)"
         text = column.unit if given is None else given
+        own = [x for other, x in zip(columns, samples, strict=False) if other.sensor == sensor]
+        option = _unit_option(sensor, text, own)
         if text is None:
             example = "deg/s" if sensor == "gyro" else "m/s^2"
             size = source.sizes.get(sensor, COUNT_SIZES[sensor])
@@ -253,16 +277,31 @@ def axes_of(
                 f"is a unit of rates; pass {option}"
             )
         axes.append(Axis(column.name, column.sensor, unit.name))
-        if (own := recognise(column.label).unit) and not same_unit(own, unit.name):
-            stated.setdefault(f"read in {unit.name} as requested, although labelled {own}", []).append(
-                column.name
-            )
+        labelled = recognise(column.label).unit
+        if labelled and not same_unit(labelled, unit.name):
+            how = f"read in {unit.name} as requested, although labelled {labelled}"
+            stated.setdefault(how, []).append(column.name)
         if unit.quantity == "increment":
             increments.append(column.name)
     notes = [f"{', '.join(names)} {how}" for how, names in stated.items()]
     if increments:
         notes.append(f"increments multiplied by the rate: {', '.join(increments)}")
     return tuple(axes), tuple(notes)
+
+
+def _unit_option(sensor: Sensor, text: str | None, samples: Sequence[np.ndarray]) -> str:
+    """The option that states the unit of a sensor, with a proposal if the samples or a wrong text tell one."""
+    option = f"{sensor}_unit="
+    near = difflib.get_close_matches(text or "", SAMPLE_UNITS[sensor]["rate"], 1)
+    found, why = near[0] if near else "", "if that is what is meant"
+    if sensor == "accel" and len(samples) == len("xyz") and all(x.dtype.kind in "fiu" for x in samples):
+        mean = float(np.linalg.norm([np.nanmean(x) for x in samples]))
+        sizes = {unit: unit_scale(unit) * mean / STANDARD_GRAVITY for unit in _GRAVITY_IN}
+        best = min(sizes, key=lambda unit: abs(sizes[unit] - 1.0))
+        if abs(sizes[best] - 1.0) < _ABOUT_GRAVITY:
+            found, why = best, f"in which they average gravity ({mean:.4g})"
+    found = found.replace("²", "^2")
+    return f"{option}'{found}' (--{sensor}-unit {found}), {why}" if found else f"{option} (--{sensor}-unit)"
 
 
 class OfAxes:

@@ -36,6 +36,12 @@ _RATE = re.compile(
     r"(\d+(?:\.\d+)?)\s*(k?)(?:hz|sps)?\W*$",
     re.IGNORECASE,
 )
+# Lines of files of noise coefficients, and the targets of `export` that such a file may be of.
+_COEFFICIENTS = {
+    r"^\s*\w+-axis:": "imu_utils",
+    r"noise_density\W*[:=]": "kalibr",
+    r"\b(?:gyr|acc)_n\b\W*[:=]": "vins-mono",
+}
 # A line that ends a table.
 _SECTION = re.compile(r"\s*(?:[\[<]/?[A-Za-z][\w .-]*[\]>]|\w*END\w*)\s*")
 # Lines of names and units; share of the first lines that are rows if each line is one.
@@ -198,8 +204,14 @@ def _without_rows(head: Sequence[Numbered], path: str) -> str:
         "write a line of names, such as time [s],gyro_x [deg/s],accel_x [g], and below it a row of numbers "
         "per sample"
     )
-    if re.match(r"\s*\[\s*\{", text):
-        remedy = f"write an object per line, with jq -c '.[]' '{path}' > imu.jsonl"
+    for pattern, target in _COEFFICIENTS.items():
+        if any(re.search(pattern, text) for _, text in shown):
+            other = "vins-mono" if target == "kalibr" else "kalibr"
+            remedy = (
+                "these are coefficients of noise and no samples; convert them, e.g. with "
+                f"allanjax export '{path}' --from {target} --to {other} (allanjax export --list has the names)"
+            )
+            break
     return f"no row of numbers in its first {looked}; line {number + 1} is {text.strip()[:80]!r}; {remedy}"
 
 

@@ -76,7 +76,8 @@ class Layout:
         _check_is_recording(table, found, columns, clock)
         columns = distinct(columns, table.source)
         _check_all_used(table, columns, clock, first, options)
-        axes, axis_notes = axes_of(columns, table.units_with(options), table.source)
+        samples = [first[column.index] for column in columns]
+        axes, axis_notes = axes_of(columns, table.units_with(options), table.source, samples)
         used = in_clock | {column.index for column in columns}
         auxiliary = tuple(c for c in found if c.index not in used and _is_channel(c, first[c.index]))
         every = (*notes, *clock_notes, *_notes_on(columns), *axis_notes)
