@@ -20,6 +20,7 @@ from allanjax.record.units import (
     COUNT_SIZES,
     SAMPLE_UNITS,
     SENSORS,
+    SI,
     Sensor,
     parse_sample_unit,
     same_unit,
@@ -86,6 +87,8 @@ _MAYBE_TIME = re.compile(
 _CLUSTER_TIME = re.compile(r"taus?|(?:cluster|averaging|correlation)_time")
 
 
+# Units in examples of a header.
+_USUAL: dict[Sensor, str] = {"gyro": "deg/s", "accel": "m/s^2"}
 # Units in which accelerometers may show gravity, and to what part.
 _GRAVITY_IN = ("m/s²", "g", "mg", "cm/s²", "mm/s²", "ft/s²", *(f"g/{2**bits}" for bits in range(10, 20)))
 _ABOUT_GRAVITY = 0.1
@@ -248,23 +251,24 @@ def axes_of(
     """
     axes, increments = [], []
     stated: dict[str, list[str]] = {}
-    for column in distinct(columns, source):
+    named = distinct(columns, source)
+    nameless: dict[Sensor, Column] = {}
+    for column in named:
         if column.sensor is None:
             raise source.error(
                 f"{column.label!r} is not an axis of a gyro or an accelerometer; use names such as gyro_x or "
                 "accel_z, and pass other columns with auxiliary="
             )
-        sensor, given = column.sensor, units[column.sensor]
-        text = column.unit if given is None else given
-        own = [x for other, x in zip(columns, samples, strict=False) if other.sensor == sensor]
-        option = _unit_option(sensor, text, own)
-        if text is None:
-            example = "deg/s" if sensor == "gyro" else "m/s^2"
-            size = source.sizes.get(sensor, COUNT_SIZES[sensor])
-            raise UnitError(
-                f"{source.label}: column {column.label!r} has no unit; pass {option}, for counts the size of "
-                f"one such as {size}, or write it in the header: `{column.name} [{example}]`"
-            )
+        if column.unit is None and units[column.sensor] is None:
+            nameless.setdefault(column.sensor, column)
+    if nameless:
+        options = [_unit_option(sensor, "", columns, samples) for sensor in nameless]
+        raise UnitError(f"{source.label}: {_without_unit(nameless, options, source)}")
+    for column in named:
+        sensor = cast(Sensor, column.sensor)
+        given = units[sensor]
+        text = (column.unit or "") if given is None else given
+        option = _unit_option(sensor, text, columns, samples)
         try:
             unit = parse_sample_unit(text, sensor)
         except UnitError as error:
@@ -272,11 +276,13 @@ def axes_of(
             wrong = ours if given is None else f"{option}: {error}"
             raise UnitError(f"{source.label}: {wrong}") from error
         if column.increment and unit.quantity == "rate" and given is None:
+            usual = SI[sensor]["increment"]
             raise UnitError(
                 f"{source.label}: column {column.label!r} holds increments by its name, but {unit.name} "
-                f"is a unit of rates; pass {option}"
+                f"is a unit of rates; pass the unit that it has, such as {sensor}_unit='{usual}' "
+                f"(--{sensor}-unit {usual})"
             )
-        axes.append(Axis(column.name, column.sensor, unit.name))
+        axes.append(Axis(column.name, sensor, unit.name))
         labelled = recognise(column.label).unit
         if labelled and not same_unit(labelled, unit.name):
             how = f"read in {unit.name} as requested, although labelled {labelled}"
@@ -289,19 +295,33 @@ def axes_of(
     return tuple(axes), tuple(notes)
 
 
-def _unit_option(sensor: Sensor, text: str | None, samples: Sequence[np.ndarray]) -> str:
-    """The option that states the unit of a sensor, with a proposal if the samples or a wrong text tell one."""
-    option = f"{sensor}_unit="
-    near = difflib.get_close_matches(text or "", SAMPLE_UNITS[sensor]["rate"], 1)
-    found, why = near[0] if near else "", "if that is what is meant"
-    if sensor == "accel" and len(samples) == len("xyz") and all(x.dtype.kind in "fiu" for x in samples):
-        mean = float(np.linalg.norm([np.nanmean(x) for x in samples]))
-        sizes = {unit: unit_scale(unit) * mean / STANDARD_GRAVITY for unit in _GRAVITY_IN}
-        best = min(sizes, key=lambda unit: abs(sizes[unit] - 1.0))
-        if abs(sizes[best] - 1.0) < _ABOUT_GRAVITY:
+def _without_unit(columns: Mapping[Sensor, Column], options: Sequence[str], source: Source) -> str:
+    """Return that these columns have no unit, and the options that state it, in words."""
+    labels = " and ".join(repr(column.label) for column in columns.values())
+    sizes = " and ".join(source.sizes.get(sensor, COUNT_SIZES[sensor]) for sensor in columns)
+    headers = " and ".join(f"`{c.name} [{_USUAL[sensor]}]`" for sensor, c in columns.items())
+    what = f"column {labels} has" if len(columns) == 1 else f"columns {labels} have"
+    return (
+        f"{what} no unit; pass {' and '.join(options)}, for counts the size of one such as {sizes}, or write "
+        f"it in the header: {headers}"
+    )
+
+
+def _unit_option(sensor: Sensor, text: str, columns: Sequence[Column], samples: Sequence[np.ndarray]) -> str:
+    """The option that states the unit of a sensor, with the unit that samples or a misspelt one suggest."""
+    near = difflib.get_close_matches(text, SAMPLE_UNITS[sensor]["rate"], 1)
+    found, why = "".join(near), "if that is meant"
+    own = [x for column, x in zip(columns, samples, strict=False) if column.sensor == sensor]
+    if sensor == "accel" and len(own) == len("xyz") and all(x.dtype.kind in "fiu" for x in own):
+        mean = float(np.linalg.norm([np.nanmean(x) for x in own]))
+        off = {unit: abs(unit_scale(unit) * mean / STANDARD_GRAVITY - 1.0) for unit in _GRAVITY_IN}
+        best = min(off, key=lambda unit: off[unit])
+        if off[best] < _ABOUT_GRAVITY:
             found, why = best, f"in which they average gravity ({mean:.4g})"
     found = found.replace("²", "^2")
-    return f"{option}'{found}' (--{sensor}-unit {found}), {why}" if found else f"{option} (--{sensor}-unit)"
+    return f"{sensor}_unit=" + (
+        f"'{found}' (--{sensor}-unit {found}), {why}" if found else f" (--{sensor}-unit)"
+    )
 
 
 class OfAxes:
@@ -369,8 +389,8 @@ def scales_of(axes: Sequence[Axis], rate: float) -> Float[np.ndarray, " axes"]:
     return np.array([unit.scale * (rate if unit.quantity == "increment" else 1.0) for unit in units])
 
 
-# Names of columns in a message that asks for them.
-_EXAMPLE = ("time", *(f"{sensor}_{axis}" for sensor in SENSORS for axis in "xyz"))
+#: Names of columns in a message that asks for them.
+EXAMPLE = ("time", *(f"{sensor}_{axis}" for sensor in SENSORS for axis in "xyz"))
 
 
 def default_names(
@@ -392,7 +412,7 @@ def default_names(
     raise source.error(
         f"{count} columns without names and {stated} given: the columns cannot be identified{seen}; "
         "name them with columns= (--columns; names= of an array), one entry per column, - skips one, e.g. "
-        f"{','.join(_EXAMPLE[-count:] if count < 7 else _EXAMPLE + ('-',) * (count - 7))}"
+        f"{','.join(EXAMPLE[-count:] if count < 7 else EXAMPLE + ('-',) * (count - 7))}"
     )
 
 

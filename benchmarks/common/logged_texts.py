@@ -102,6 +102,8 @@ class Draw:
 
 
 Maker = Callable[[Draw], Log]
+#: Times of a draw's samples, and which samples there are.
+Change = Callable[[Draw], tuple[np.ndarray, np.ndarray]]
 LAYOUTS: dict[str, Maker] = {}
 
 
@@ -238,11 +240,12 @@ def groups_of_three(d: Draw) -> Log:
 def bare_rows_in_a_terminal(d: Draw) -> Log:
     """Numbers alone behind a prefix; the owner knows their order."""
     mark, before = d.pick(",", " ", "\t", ", "), prefixes(d)
-    start = [mark.join(d.names()).replace(" ", "_" if mark == " " else " ")] if d.chance() else []
+    names = [x.replace(" ", "_") for x in d.names()]
+    start = [mark.join(names)] if d.chance() else []
     opening, closing = d.pick(("", ""), ("", ""), ("<", ">"), ("[", "]"), ("{", "}"))
     rows = [before(k) + opening + mark.join(map(number, row)) + closing for k, row in enumerate(d.values)]
-    count = len(before(0).replace(":", " ").split()) if before(0) else 0
-    d.known["columns"] = ",".join(["-"] * 0 + list(SIX)) if not count else None
+    # A prefix is columns, too, which a message lists.
+    d.known["columns"] = None if before(0) else ",".join(SIX)
     return d.log("bare rows in a terminal", noisy(d, start + rows))
 
 
@@ -420,7 +423,9 @@ def damaged(d: Draw) -> Log:
 # --- Stamps ------------------------------------------------------------------------------------------------
 
 
-def stamped(kind: str, change: Callable[[Draw], tuple[np.ndarray, np.ndarray]], label: str = "time [s]") -> None:
+def stamped(
+    kind: str, change: Callable[[Draw], tuple[np.ndarray, np.ndarray]], label: str = "time [s]"
+) -> None:
     """Register times of a kind: those of samples, and which samples there are."""
 
     def make(d: Draw) -> Log:

@@ -209,7 +209,9 @@ def test_a_value_beyond_the_documented_range_is_commented_out(tmp_path, target):
 UNREADABLE = ("imu_utils", "gtsam", "airsim", "isaac-lab", "pegasus", "matlab")
 OWN_N, OWN_K = {"gyro": 1.7e-4, "accel": 2.0e-3}, {"gyro": 1.9e-5, "accel": 6.0e-4}
 # Whose files hold no walk of a bias: none, or a Markov process.
-WITHOUT_WALK = "imu_utils-original glim robot_localization gz-sim gazebo-classic rotors hybvio kf-gins ob-gins"
+WITHOUT_WALK = (
+    "imu_utils-original glim robot_localization gz-sim gazebo-classic rotors hybvio kf-gins ob-gins"
+)
 # As Kalibr's wiki has it.
 KALIBR = f"""#Accelerometers
 accelerometer_noise_density: {OWN_N["accel"]:.6e}   #Noise density (continuous-time)

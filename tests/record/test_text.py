@@ -424,8 +424,6 @@ def test_too_many_other_lines_are_described_with_a_command(tmp_path):
     torn = [line if k % 4 else line.replace(",", ";", 3) for k, line in enumerate(rows(NOISE))]
     path.write_text("\n".join([",".join(HEADER), *torn, ""]))
     refused(path, "12 of 50 lines are no rows of 6 numbers|line 2, |awk -F',' 'NF==6'", rate=RATE)
-    path.write_text(json.dumps([dict(zip(SIX, row, strict=True)) for row in NOISE.tolist()]))
-    refused(path, f"first line; line 1 is|jq -c '.[]' '{path}'", rate=RATE)
     path.write_text("\n".join(["can0 123#DEADBEEF", *30 * ["can0 124#CAFEBABE"], ""]))
     refused(path, "31 lines|line 16 is 'can0 124#CAFEBABE'|time [s],gyro_x [deg/s]", rate=RATE)
 

@@ -19,7 +19,9 @@ def remedies(message: str) -> list[Remedy]:
     advice = _COMMAND.sub("", message.partition(": ")[2] or message)
     found = []
     for clause in re.split(r"; |,? or ", advice):
-        options = {name: text or number or flag or None for name, text, number, flag in _OPTION.findall(clause)}
+        options = {
+            name: text or number or flag or None for name, text, number, flag in _OPTION.findall(clause)
+        }
         if options and options not in found:
             found.append(options)
     return found

@@ -157,6 +157,8 @@ class Grammar:
         # A delimiter within quotes separates nothing.
         cells = [f'"{cell}"' if self.delimiter and self.delimiter in cell else cell for cell in cells]
         missing = self.fields - len(cells)
+        if missing == 0 and any(recognise(self.labels[k]).role == "time" for k in words if self.labels):
+            return []
         if missing == 0:
             return cells if numbers & {*self.numeric} or not any(cells) else None
         if missing > 0:
@@ -185,12 +187,11 @@ def grammar_of(texts: Sequence[str], file: str, source: Source) -> Grammar:
     if found is None:
         raise source.error(_without_rows(head, source.label))
     before = [text.strip() for text in texts[: found.start]]
-    for text in before:
-        if match := _RATE.search(text):
-            rate = float(match[1]) * (1e3 if match[2] else 1.0)
-            note = f"sample rate {rate:g} Hz from the line {text[:60]!r}"
-            found = replace(found, rate=rate, notes=(*found.notes, note))
-            break
+    stated = next(filter(None, map(_RATE.search, before)), None)
+    if stated is not None:
+        rate = float(stated[1]) * (1e3 if stated[2] else 1.0)
+        note = f"sample rate {rate:g} Hz from the line {stated.string[:60]!r}"
+        found = replace(found, rate=rate, notes=(*found.notes, note))
     _, row = next(found.records(head[found.start :]))
     return _of_device(found, {"head": "\n".join(before), "row": row, "file": file})
 
@@ -208,8 +209,8 @@ def _without_rows(head: Sequence[Numbered], path: str) -> str:
         if any(re.search(pattern, text) for _, text in shown):
             other = "vins-mono" if target == "kalibr" else "kalibr"
             remedy = (
-                "these are coefficients of noise and no samples; convert them, e.g. with "
-                f"allanjax export '{path}' --from {target} --to {other} (allanjax export --list has the names)"
+                "these are coefficients of noise and no samples; convert them, e.g. with allanjax export "
+                f"'{path}' --from {target} --to {other} (allanjax export --list has the names)"
             )
             break
     return f"no row of numbers in its first {looked}; line {number + 1} is {text.strip()[:80]!r}; {remedy}"
@@ -288,10 +289,14 @@ def _first_row(lines: Sequence[_Line]) -> _Line | None:
             is_short = size < len(names) and all(len(x.cells) == size for x in lines[k : k + 3])
             if any(map(is_axis, names)) and (fits(line.cells, len(names)) or is_short):
                 return line._replace(cells=line.cells[: len(names)])
-    lines = [line._replace(cells=trimmed(line.cells)) for line in lines]
-    rows = [line for line in lines if 0 < len(line.cells) <= 2 * line.numbers]
+    rows = [line for line in lines if 0 < len(trimmed(line.cells)) <= 2 * line.numbers]
+    if not rows:
+        return None
     sizes = Counter((line.delimiter, len(line.cells)) for line in rows)
-    return max(rows, key=lambda line: sizes[line.delimiter, len(line.cells)], default=None)
+    first = max(rows, key=lambda line: sizes[line.delimiter, len(line.cells)])
+    alike = [x for x in rows if (x.delimiter, len(x.cells)) == (first.delimiter, len(first.cells))]
+    # Columns at the end that are empty in all rows are none.
+    return first._replace(cells=first.cells[: max(len(trimmed(line.cells)) for line in alike)])
 
 
 def _is_regular(found: Grammar, texts: Sequence[str]) -> bool:

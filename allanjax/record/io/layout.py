@@ -11,6 +11,7 @@ from jaxtyping import Shaped
 
 from allanjax.base.errors import UnitError
 from allanjax.record.columns import (
+    EXAMPLE,
     Axis,
     Column,
     axes_of,
@@ -321,9 +322,14 @@ def _check_is_recording(
             "read it with read_curve, or give --curve to characterize and compare"
         )
     if not axes:
+        # Samples usually come last, of two sensors or of one.
+        unknown = [column for column in found if column.role == "auxiliary"]
+        size = next((n for n in (6, 3) if len(unknown) >= n), len(unknown))
+        some = dict(zip(unknown[-size:], EXAMPLE[1:], strict=False)) if size else {}
+        names = ",".join("time" if column.role == "time" else some.get(column, "-") for column in found)
         raise table.source.error(
             f"no gyro or accelerometer column among {', '.join(column.label for column in found)}; "
-            "name the columns with columns= (--columns), e.g. time,gyro_x,gyro_y,gyro_z"
+            f"name the columns in their order, - skips one, such as columns='{names}' (--columns {names})"
         )
 
 

@@ -228,12 +228,20 @@ def _labels_of(text: str, before: Sequence[str]) -> list[str | None]:
     # What follows the last number is but a unit.
     values.pop()
     names = [*_names_of(values)]
-    unnamed = len(list(itertools.takewhile(lambda name: name is None, reversed(names))))
+    # Where no number has the name of an axis, names such as that of a program say nothing.
+    has_axes = any(is_axis(name) for name in names if name)
+    says_nothing = (lambda name: name is None) if has_axes else _says_nothing
+    unnamed = len(list(itertools.takewhile(says_nothing, reversed(names))))
     if unnamed > 1:
         delimiter = delimiter_of("".join(pieces[-unnamed:-1]))
         header = next(filter(None, (_names_in(line, delimiter, unnamed) for line in reversed(before))), [])
         names[len(names) - len(header) :] = header
     return _with_units(names, values)
+
+
+def _says_nothing(name: str | None) -> bool:
+    """Whether a number has no name, or one that is neither an axis nor a time, such as that of a program."""
+    return name is None or recognise(name).role == "auxiliary"
 
 
 def _unit_before(piece: str) -> tuple[str, str]:
