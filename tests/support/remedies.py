@@ -10,18 +10,20 @@ _NAMES = "rate|gyro_unit|accel_unit|columns|names|time|time_unit|start|stop|topi
 _OPTION = re.compile(rf"\b({_NAMES})=(?:'([^']*)'|([\d.]*\d)|(True))?")
 # Options as commands take them, in brackets behind those of Python.
 _COMMAND = re.compile(r"\s*\((--(?:[^()]|\([^()]*\))*)\)")
+#: The value of an option that is to be left out.
+OMIT = "omit"
 #: One remedy: options and their values; None where users know the value.
 Remedy = dict[str, str | None]
 
 
 def remedies(message: str) -> list[Remedy]:
-    """The remedies that a message offers, in their order; what it quotes of the file are none."""
-    advice = _COMMAND.sub("", message.partition(": ")[2] or message)
-    found = []
-    for clause in re.split(r"; |,? or ", advice):
-        options = {
-            name: text or number or flag or None for name, text, number, flag in _OPTION.findall(clause)
-        }
+    """The remedies that a message offers behind what is wrong, in their order."""
+    text = _COMMAND.sub("", message)
+    found: list[Remedy] = []
+    for clause in re.split(r"; |,? or ", text.partition("; ")[2] or text):
+        options: Remedy = {name: "".join(values) or None for name, *values in _OPTION.findall(clause)}
+        if re.search(r"\bomit\b", clause):
+            options = dict.fromkeys(options or [_OPTION.findall(text)[0][0]], OMIT)
         if options and options not in found:
             found.append(options)
     return found
@@ -67,7 +69,9 @@ def with_values(remedy: Remedy, known: Mapping[str, Any]) -> dict[str, Any] | No
         given = known.get(name) if value is None else value
         if given is None:
             return None
-        if name == "force":
+        if value == OMIT:
+            given = None
+        elif name == "force":
             given = True
         elif name in ("start", "stop", "rate"):
             given = float(given)

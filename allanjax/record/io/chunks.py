@@ -28,6 +28,7 @@ from allanjax.record.io.record import (
 from allanjax.record.io.table import Columns, Table, as_float, is_numeric
 from allanjax.record.io.times import IGNORE, MAX_RATE_DIFFERENCE, Clock, Seconds
 from allanjax.record.validation import (
+    MIN_SAMPLES,
     Source,
     bad_cells,
     check_finite,
@@ -115,7 +116,7 @@ class ChunkedRecording:
                 varies |= ((values != first) & numbers).any(axis=0)
             values *= self.own_scales
             yield values
-        check_length(count, place)
+        check_length(count, place, self._part.is_cut)
         if silent.all():
             raise bad_cells(labels[0], count, 0, place)
         if not varies.any():
@@ -179,7 +180,7 @@ def chunks_of(table: Table, name: str, options: ReadOptions, chunk: int) -> Chun
     if layout.clock:
         found = _timed(part, layout.stamps(first), first, rate, options)
     elif rate is None:
-        raise no_rate_error(source)
+        raise no_rate_error(source, layout)
     else:
         found = _counted(part, rate)
     if layout.auxiliary:
@@ -205,7 +206,7 @@ def _counted(part: "_PartOfFile", rate: float) -> _Opened:
         return _Opened(part, rate, (), None)
     rows = rows_between(n, rate, part.start, part.stop)
     check_rows(rows, n / rate, source)
-    check_length(rows.stop - rows.start, source)
+    check_length(rows.stop - rows.start, source, n >= MIN_SAMPLES)
     whole = rows == slice(0, n)
     notes = () if whole else (f"samples {rows.start:,} to {rows.stop - 1:,} of {n:,} read",)
     return _Opened(part, rate, notes, rows.stop - rows.start)
@@ -227,7 +228,7 @@ def _timed(
         if not own_rows(rows, layout.columns).all():
             raise source.error("only read() (without --stream) leaves out rows that repeat previous values")
     times, place = part.first_times()
-    check_length(len(times), place)
+    check_length(len(times), place, part.is_cut)
     step = clock.step(stamps)
     grid = Stamps(times, step, clock.label, place, more=True).grid(
         options.rate, gaps=False, uniform=options.uniform, force=options.force
@@ -252,6 +253,11 @@ class _PartOfFile:
     chunk: int
     stamped: float | None = None
     step: float = 0.0
+
+    @property
+    def is_cut(self) -> bool:
+        """Whether it may be less than the whole."""
+        return (self.start, self.stop) != (None, None)
 
     def first_times(self) -> tuple[Seconds, Source]:
         """Return the times [s] of the first samples, at most a chunk, and their place in the file."""

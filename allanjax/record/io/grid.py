@@ -281,7 +281,10 @@ class Stamps:
         """Return how many samples are missing if intervals are whole multiples of the usual one; else 0."""
         if self._is_coarse():
             places = self._demodulated()
-            return 0 if places is None else int(places[-1]) + 1 - len(places)
+            if places is not None:
+                return int(places[-1]) + 1 - len(places)
+            if self._beats():
+                return 0
         intervals = np.diff(self.seconds)
         typical = float(np.median(intervals))
         if not typical > 0.0:
@@ -342,17 +345,23 @@ class Stamps:
             raise self._error(f"{self._of_pieces(pieces)}{forced}", "rate")
         lost = 0 if self.why_even() else self._lost()
         if lost:
-            raise self._error(f"the samples are not evenly spaced: {self._missing(lost)}{forced}", "gaps")
+            omit = "omit time='uniform' (--time uniform)"
+            raise self._error(
+                f"the samples are not evenly spaced: {self._lack(lost)}; {omit}{forced}", "gaps"
+            )
+
+    def _lack(self, lost: int) -> str:
+        """Return that samples are missing, in words."""
+        every = lost + len(self.seconds)
+        interval = float(self.seconds[-1] - self.seconds[0]) / (every - 1)
+        return (
+            f"intervals are whole multiples of {_short(interval)}, so that {lost:,} of {every:,} samples "
+            f"({percent(lost / every)}) are missing"
+        )
 
     def _missing(self, lost: int) -> str:
         """Return that samples are missing, and what to do, in words."""
-        n = len(self.seconds)
-        share = lost / (lost + n)
-        interval = float(self.seconds[-1] - self.seconds[0]) / (n + lost - 1)
-        text = (
-            f"intervals are whole multiples of {_short(interval)}, so that {lost:,} of {lost + n:,} samples "
-            f"({percent(share)}) are missing"
-        )
+        text, share = self._lack(lost), lost / (lost + len(self.seconds))
         segment = "read the longest part without with gaps='segments' (--gaps segments)"
         if share > MOST_MISSING:
             return f"{text}; at most {percent(MOST_MISSING)} can be filled in: {segment}"

@@ -192,7 +192,9 @@ def _chosen(table: Table, count: int, columns: str | Sequence[str]) -> list[Colu
     names = [entry for entry in entries if entry not in _SKIP]
     repeated = _repeated(names)
     if repeated:
-        raise table.source.error(f"columns= names {', '.join(repeated)} more than once; name each once")
+        raise table.source.error(
+            f"columns= names {', '.join(repeated)} more than once; name each once in columns= (--columns)"
+        )
     if table.labels is not None:
         matches = [_match(table, name, len(entries) == count) for name in names]
         if len(names) == len(entries) and all(matches):
@@ -204,14 +206,14 @@ def _chosen(table: Table, count: int, columns: str | Sequence[str]) -> list[Colu
             hint = f" (did you mean {near[0]}?)" if near else ""
             raise table.source.error(
                 f"columns= (--columns) asks for {', '.join(unknown)}{hint}, but the file has "
-                f"{', '.join(table.labels)}; choose from these, or give one name per column in order, with - "
-                "to skip one"
+                f"{', '.join(table.labels)}; choose from these in columns= (--columns), or give one name per "
+                "column in order, with - to skip one"
             )
     if len(entries) != count:
         has = "no names" if table.labels is None else f"the names {', '.join(table.labels)}"
         raise table.source.error(
             f"columns= has {len(entries)} entries, but the file has {count} columns, with {has}; "
-            "list names of the header, or one entry per column, with - to skip one"
+            "list names of the header in columns= (--columns), or one entry per column, with - to skip one"
         )
     found = [c for c in _recognised(entries) if entries[c.index] not in _SKIP]
     # Without a unit from the user, that of the header applies.
@@ -250,7 +252,11 @@ def _match(table: Table, name: str, by_position: bool) -> tuple[int, ...]:
             if by_position:
                 return ()
             listed = ", ".join(repr(labels[i]) for i in found)
-            raise table.source.error(f"columns= names {name!r}, which matches {listed}; use the full name")
+            first = labels[found[0]]
+            raise table.source.error(
+                f"columns= names {name!r}, which matches {listed}; use the full name, such as "
+                f"columns='{first}' (--columns '{first}'), or name all columns in their order, - skips one"
+            )
         if found:
             return found
     return ()
@@ -348,9 +354,9 @@ def _check_all_used(
                 f"name the columns with columns= (--columns), one entry per column (axes are now {read})"
             )
     if options.time_unit is not None and not clock:
+        named = ", or name their column with time= (--time)" if len(first) > len(axes) else ""
         raise table.source.error(
-            "time_unit= (--time-unit) is given, but no time stamps are read; omit it, or name their column "
-            "with time= (--time)"
+            f"time_unit= (--time-unit) is given, but no time stamps are read; omit it{named}"
         )
 
 

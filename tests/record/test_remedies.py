@@ -1,15 +1,17 @@
-"""What cannot be read or made: the class of the error, and the file, column, line or option that it names."""
+"""What cannot be read or made: the error names file, column, line or option, and each remedy in it works."""
 
 import gzip
 import io
 import os
-import re
 import zipfile
+from collections.abc import Callable
+from pathlib import Path
 
 import numpy as np
 import pandas as pd
 import pytest
 from imu_columns import DEG, HEADER, SIX, UNITS, noted, refused, rows
+from remedies import remedies, with_values
 
 import allanjax as aj
 
@@ -89,7 +91,7 @@ OF_TEXT = {
     "an interval of 1.56": (text(times=moved(r20=0.0056)), {}, "0.0156 s|line 22"),
     "repeats": (text(times=np.where(STEPS == 10, 0.09, TIMES)), {}, "time [s]|repeats|line 12|--rate"),
     "no such time": (text(times=TIMES), {"time": "clock"}, "clock|time [s]|time="),
-    "time in words": (text(times=TIMES, cells={(7, 0): "soon"}), {}, "time [s]|line 7"),
+    "time in words": (text(times=TIMES, cells={(7, 0): "soon"}), {}, "time [s]|line 8"),
     "gaps": (text(), {**RATE, "gaps": "interpolate"}, "gaps=|--gaps|interpolate"),
     "topic": (text(), {**RATE, "topic": "/imu"}, "topic=|--topic"),
     "instance": (text(), {**RATE, "instance": 1}, "instance=|--instance"),
@@ -132,46 +134,189 @@ def test_what_is_just_right_is_read(tmp_path):
         assert aj.read(path, **options).n == n, options
 
 
-# Remedies as errors name them, and the rate [Hz] that is read by each; what options lack is in `GIVEN`.
-REMEDY = re.compile(r"time='none' and rate=|start=[\d.]+, stop=[\d.]+|\w+='\w+'|\w+=(?= \(--)")
-GIVEN = {"rate": 80.0, "gyro_unit": "131 LSB/(deg/s)", "accel_unit": "m/s^2", "time_unit": "0.1 ms"}
-GIVEN["columns"] = "time [s],gx [deg/s],-,gy [deg/s]"
-IGNORED, CUT = {"time='none' and rate=": 80.0}, {"gaps='segments'": 100.0}
+# Times of samples some of which are late, lost or rounded; and six axes in turn.
+LATE = TIMES + 0.02 * (STEPS % 3)
 BOTH, ROWS = ["gx [deg/s]", "gy [deg/s]", "ax [g]", "ay [g]"], range(1, N)
 IN_TURN = {(n + 2, k): repr(float(NOISE[n - 1, k - 1])) for n in ROWS for k in ((1, 2), (3, 4))[n % 2]}
-LATE = TIMES + 0.02 * (STEPS % 3)
-# What writes the file, and the remedies that its error names.
-REMEDIES = {
-    "late": (text(times=LATE), {"time='uniform'": 1.0 / np.polyfit(STEPS, LATE, 1)[0]} | IGNORED),
-    "set back": (text(times=moved(r30=-0.2)), CUT | IGNORED),
-    "lost": (
-        text(times=moved(r20=0.1)),
-        {"start=0.300, stop=0.590": 1e2, "gaps='fill'": 1e2} | CUT | IGNORED,
-    ),
-    # If too many are missing, none is filled in.
-    "pause": (text(times=moved(r10=0.35)), {"start=0.450, stop=0.840": 100.0} | CUT | IGNORED),
-    "counts": (text(["gx [LSB]"], times=TIMES), {"gyro_unit=": 100.0}),
-    "no unit": (text(["gx"], times=TIMES), {"gyro_unit=": 100.0}),
-    "wrong unit": (text(["ax [rad/s^2]"], times=TIMES), {"accel_unit=": 100.0}),
-    "increments": (text(["dv_x [g]"], times=TIMES), {"accel_unit=": 100.0}),
-    "time in m": (text(times=TIMES, label="time [m]"), {"time_unit=": 1e6}),
-    "steps": (text(times=STEPS, label="time"), {"time_unit=": 10_000.0, "rate=": 80.0}),
-    "same names": (text(["gx", "gx", "gy"], times=TIMES), {"columns=": 100.0}),
-    "in turn": (text(BOTH, cells=IN_TURN, times=TIMES), {"columns='gyro'": 50.0, "columns='accel'": 50.0}),
+MANY = np.arange(4000)
+LOST = np.flatnonzero(np.random.default_rng(5).random(4000) > 0.08)
+MOSTLY_LOST = np.flatnonzero(np.random.default_rng(5).random(4000) > 0.6)
+TWO_RATES = np.concatenate([MANY[:3000] / 100.0, 30.0 + MANY[:1000] / 160.0])
+# Stamps in ms of 952 Hz, of which some are lost: it cannot be told which.
+OPEN = np.floor(MANY[np.random.default_rng(6).random(4000) > 0.01] / 0.952) / 1e3
+GRAVITY = NOISE[:, 3:] * 0.01 + [0.0, 0.0, 9.81]
+SQUARED = ["ax [rad/s^2]", "ay [rad/s^2]", "az [rad/s^2]"]
+
+
+def table(times, header=HEADER[:3], label="time [s]", scale=1.0, values=None):
+    """What writes a table of this many rows of noise."""
+
+    def write(path):
+        x = np.random.default_rng(7).normal(size=(len(times), len(header))) * scale
+        x = x if values is None else values
+        path.write_text("\n".join([",".join([label, *header]), *rows(times, x), ""]), encoding="utf-8")
+
+    return write
+
+
+def lines(*content):
+    def write(path):
+        path.write_text("\n".join([*content, ""]), encoding="utf-8")
+
+    return write
+
+
+def marked(path):
+    """A counter of 16 bits shows -32768 where there is no sample."""
+    x = np.round(300.0 * np.random.default_rng(3).normal(size=(200, 3)))
+    x[::40] = -32768
+    path.write_text("\n".join(["gx [mdeg/s],gy [mdeg/s],gz [mdeg/s]", *rows(x), ""]), encoding="utf-8")
+
+
+def in_turn(path):
+    made = [f"{s},{10 * k},{x},{y},{z}" for k in range(N) for s, (x, y, z) in zip(("GYR", "ACC"), TRIADS[k])]
+    path.write_text("\n".join([*made, ""]), encoding="utf-8")
+
+
+TRIADS = [(row[:3], row[3:]) for row in np.round(NOISE, 4).tolist()]
+# What a user knows who is asked.
+KNOWN = {"rate": 100.0, "gyro_unit": "deg/s", "accel_unit": "g", "time_unit": "ms", "time": "time [s]"}
+KNOWN |= {
+    "columns": "gyro_x,gyro_y,gyro_z",
+    "names": ["gyro_x", "gyro_y", "gyro_z"],
+    "start": 0.0,
+    "stop": 0.2,
 }
+# What else a user knows of a file of `OF_TEXT`.
+ELSE = {
+    **dict.fromkeys(("cell cut off", "row too long", "no header"), {"start": 0.1, "stop": 0.4}),
+    "3 unnamed": {"columns": "accel_x,accel_y,accel_z"},
+    "6 of one unit": {"columns": ",".join(SIX)},
+}
+# What writes a file, options of reading, whose errors name remedies, and the rates that these may give.
+REMEDIES = {
+    **{name: (*case[:2], {100.0}, ELSE.get(name, {})) for name, case in OF_TEXT.items()},
+    "late": (text(times=LATE), {}, {100.0, 1.0 / np.polyfit(STEPS, LATE, 1)[0]}),
+    "set back": (text(times=moved(r30=-0.2)), {}, {100.0}),
+    "lost": (text(times=moved(r20=0.1)), {}, {100.0}),
+    "pause": (text(times=moved(r10=0.35)), {}, {100.0}),
+    "lost at random": (table(LOST / 100.0), {}, {100.0}),
+    "uniform though lost": (table(LOST / 100.0), {"time": "uniform"}, {100.0, 92.0}),
+    "mostly lost": (table(MOSTLY_LOST / 100.0), {}, {100.0}),
+    "mostly lost, to be filled": (table(MOSTLY_LOST / 100.0), {"gaps": "fill"}, {100.0}),
+    "two rates": (table(TWO_RATES), {}, {100.0, 160.0}),
+    "uniform though of two rates": (table(TWO_RATES), {"time": "uniform"}, {100.0, 160.0, 106.2}),
+    "open": (table(OPEN), {}, {100.0}),
+    "open, to be filled": (table(OPEN), {"gaps": "fill"}, {100.0}),
+    "do not increase": (text(times=0.0 * TIMES), {"time": "uniform"}, {100.0}),
+    "counts": (text(["gx [LSB]"], times=TIMES), {}, {100.0}),
+    "no units": (text(["gx", "ax"], times=TIMES), {}, {100.0}),
+    "wrong unit": (text(["ax [rad/s^2]"], times=TIMES), {}, {100.0}),
+    "wrong unit, with gravity": (table(TIMES, SQUARED, values=GRAVITY), {}, {100.0}),
+    "increments": (text(["dv_x [g]"], times=TIMES), {}, {100.0}),
+    "time in m": (text(times=TIMES, label="time [m]"), {}, {1e5}),
+    "steps": (text(times=STEPS, label="time"), {}, {100.0, 1000.0}),
+    "same names": (
+        text(["gx", "gx", "gy"], times=TIMES),
+        {},
+        {100.0},
+        {"columns": "time [s],gx [deg/s],-,gy"},
+    ),
+    "in turn": (text(BOTH, cells=IN_TURN, times=TIMES), {}, {50.0}),
+    "kinds": (in_turn, {}, {100.0}),
+    "no such time": (text(times=TIMES), {"time": "clock"}, {100.0}),
+    "no time in a row": (text(times=TIMES, cells={(7, 0): "nan"}), {}, {100.0}),
+    "no clock in a row": (
+        lines(
+            "time,gx [deg/s]",
+            *(f"10:00:{k},{x}" for k, x in zip((10, "x", *range(12, 40)), NOISE[:30, 0], strict=False)),
+        ),
+        {"rate": 100.0},
+        {100.0},
+    ),
+    "outside": (text(), {**RATE, "start": 9.0}, {100.0}),
+    "position": (text(), {**RATE, "columns": "gyro_x,-"}, {100.0}),
+    "a unit of nothing": (
+        text(),
+        {**RATE, "accel_unit": "g"},
+        {100.0},
+        {"columns": "accel_x,accel_y,accel_z"},
+    ),
+    "a unit of no times": (text(), {**RATE, "time_unit": "ms"}, {100.0}),
+    "all missing": (
+        text(cells={(n, 1): "nan" for n in range(2, N) if n % 2}),
+        {**RATE, "gaps": "fill"},
+        {100.0},
+    ),
+}
+# Messages whose remedy is a deed: a word of it, and what a user does to the file.
+DEEDS: dict[str, Callable[[Path], aj.Recording]] = {}
+
+
+def deed(words):
+    def register(do):
+        DEEDS[words] = do
+        return do
+
+    return register
+
+
+def again(path, **options):
+    """Read the file once what is wrong with it has been repaired."""
+    text(times=TIMES)(path)
+    return aj.read(path, **options)
+
+
+for words in (
+    "repair it",
+    "repair the file",
+    "correct the header",
+    "use a longer recording",
+    "write it in the header",
+    "record it again",
+):
+    DEEDS[words] = again
+
+
+def tried(path, options, rates, known, steps, seen=()):
+    """Why no chain of remedies leads from these options to a result; [] if one does, and all are truthful."""
+    try:
+        recording = aj.read(path, **options)
+    except aj.AllanjaxError as error:
+        message = str(error)
+    else:
+        wrong = (
+            [] if any(abs(recording.rate / rate - 1.0) < 0.01 for rate in rates) else [f"{recording.rate} Hz"]
+        )
+        return [f"{options}: {wrong[0]}"] if wrong else []
+    if message in seen:
+        return [f"{options}: again {message}"]
+    offered = remedies(message)
+    chosen = [with_values(remedy, known) for remedy in offered]
+    if None in chosen or (steps == 0):
+        return [f"{options}: {message}"]
+    failed = [tried(path, options | more, rates, known, steps - 1, (*seen, message)) for more in chosen]
+    # The first message's remedies work all; in those that follow, one does.
+    if not seen:
+        return [why for whys in failed for why in whys]
+    return [] if [] in failed or any(words in message for words in DEEDS) else [f"{options}: {message}"]
 
 
 @pytest.mark.parametrize("name", REMEDIES)
 def test_every_remedy_that_an_error_names_leads_to_a_result(tmp_path, name):
-    write, remedies = REMEDIES[name]
+    """At once, or by a refusal whose remedy does."""
+    write, options, rates, *more = REMEDIES[name]
+    known = KNOWN | dict(*more)
     write(path := tmp_path / "imu.csv")
+    message = str(refused_any(path, options))
+    assert remedies(message) or any(words in message for words in DEEDS), message
+    assert not tried(path, options, rates, known, 3)
+
+
+def refused_any(path, options):
     with pytest.raises(aj.AllanjaxError) as caught:
-        aj.read(path)
-    assert {*REMEDY.findall(str(caught.value))} == {*remedies}
-    for remedy, rate in remedies.items():
-        options = {key: value or GIVEN[key] for key, value in re.findall(r"(\w+)='?([\w.]*)", remedy)}
-        numbers = {key: float(value) for key, value in options.items() if key in ("start", "stop")}
-        assert aj.read(path, **options | numbers).rate == pytest.approx(rate, rel=1e-6), remedy
+        aj.read(path, **options)
+    return caught.value
 
 
 def header(*lines):
@@ -290,7 +435,7 @@ CALLS = [
     (lambda f: RECORDING["mag"], "mag|gyro_x"),
     (lambda f: made(NOISE, 1.0, **UNITS, gaps="drop"), "gaps=|drop"),
     (lambda f: RECORDING.select(), "gyro_x"),
-    (lambda f: RECORDING.between(0.7), "unit 7|15 samples|start="),
+    (lambda f: RECORDING.between(0.7), "unit 7|15 samples|longer"),
     (lambda f: aj.write(RECORDING, f / "imu.mat"), "imu.mat|.parquet"),
     (lambda f: aj.write(RECORDING, f / "a" / "imu.csv"), "imu.csv|folder"),
     (lambda f: aj.write(RECORDING, f), "folder"),
