@@ -4,13 +4,14 @@ import gzip
 import io
 import os
 import zipfile
-from collections.abc import Callable
-from pathlib import Path
+from contextlib import suppress
 
 import numpy as np
 import pandas as pd
 import pytest
 from imu_columns import DEG, HEADER, SIX, UNITS, noted, refused, rows
+from logs import Topic, structured, write_bag, write_dataflash, write_ulog
+from raise_sites import places, reached
 from remedies import remedies, with_values
 
 import allanjax as aj
@@ -166,15 +167,9 @@ def lines(*content):
     return write
 
 
-def marked(path):
-    """A counter of 16 bits shows -32768 where there is no sample."""
-    x = np.round(300.0 * np.random.default_rng(3).normal(size=(200, 3)))
-    x[::40] = -32768
-    path.write_text("\n".join(["gx [mdeg/s],gy [mdeg/s],gz [mdeg/s]", *rows(x), ""]), encoding="utf-8")
-
-
 def in_turn(path):
-    made = [f"{s},{10 * k},{x},{y},{z}" for k in range(N) for s, (x, y, z) in zip(("GYR", "ACC"), TRIADS[k])]
+    sensors = [(k, sensor, x) for k in range(N) for sensor, x in zip(("GYR", "ACC"), TRIADS[k], strict=True)]
+    made = [f"{sensor},{10 * k},{','.join(map(str, x))}" for k, sensor, x in sensors]
     path.write_text("\n".join([*made, ""]), encoding="utf-8")
 
 
@@ -189,7 +184,7 @@ KNOWN |= {
 }
 # What else a user knows of a file of `OF_TEXT`.
 ELSE = {
-    **dict.fromkeys(("cell cut off", "row too long", "no header"), {"start": 0.1, "stop": 0.4}),
+    **{name: {"start": 0.1, "stop": 0.4} for name in ("cell cut off", "row too long", "no header")},
     "3 unnamed": {"columns": "accel_x,accel_y,accel_z"},
     "6 of one unit": {"columns": ",".join(SIX)},
 }
@@ -201,6 +196,7 @@ REMEDIES = {
     "lost": (text(times=moved(r20=0.1)), {}, {100.0}),
     "pause": (text(times=moved(r10=0.35)), {}, {100.0}),
     "lost at random": (table(LOST / 100.0), {}, {100.0}),
+    "lost at random, rounded": (table(np.floor(LOST / 0.476) / 1e3), {}, {476.0}),
     "uniform though lost": (table(LOST / 100.0), {"time": "uniform"}, {100.0, 92.0}),
     "mostly lost": (table(MOSTLY_LOST / 100.0), {}, {100.0}),
     "mostly lost, to be filled": (table(MOSTLY_LOST / 100.0), {"gaps": "fill"}, {100.0}),
@@ -249,33 +245,8 @@ REMEDIES = {
         {100.0},
     ),
 }
-# Messages whose remedy is a deed: a word of it, and what a user does to the file.
-DEEDS: dict[str, Callable[[Path], aj.Recording]] = {}
-
-
-def deed(words):
-    def register(do):
-        DEEDS[words] = do
-        return do
-
-    return register
-
-
-def again(path, **options):
-    """Read the file once what is wrong with it has been repaired."""
-    text(times=TIMES)(path)
-    return aj.read(path, **options)
-
-
-for words in (
-    "repair it",
-    "repair the file",
-    "correct the header",
-    "use a longer recording",
-    "write it in the header",
-    "record it again",
-):
-    DEEDS[words] = again
+# What a user does to a file or a sensor, and not with an option.
+DEEDS = ("repair it", "repair the file", "correct the header", "use a longer recording", "record it again")
 
 
 def tried(path, options, rates, known, steps, seen=()):
@@ -317,6 +288,67 @@ def refused_any(path, options):
     with pytest.raises(aj.AllanjaxError) as caught:
         aj.read(path, **options)
     return caught.value
+
+
+VALUES = np.random.default_rng(8).normal((0.1, 0.2, 0.3, 1.0, 2.0, 9.81), 1.0, (64, 6)).astype("f4")
+GYRO, ACCEL = VALUES * [1, 1, 1, 0, 0, 0], VALUES * [0, 0, 0, 1, 1, 1]
+
+
+def nanos(n=64, rate=200.0):
+    return 1_700_000_000_123_456_789 + np.round(np.arange(n) * 1e9 / rate).astype(np.int64)
+
+
+def bag(**topics):
+    """What writes a bag of these topics."""
+    return lambda folder: write_bag(folder / "imu.bag", "ros1", {f"/{key}": x for key, x in topics.items()})
+
+
+def ulog(folder):
+    times = (5_000_000 + 5000 * np.arange(64)).astype("u8")
+    messages = {}
+    for k in (0, 1):
+        for name, values in (("sensor_gyro", VALUES[:, :3]), ("sensor_accel", VALUES[:, 3:])):
+            axes = dict(zip("xyz", values.T, strict=True))
+            messages[name, k] = structured(timestamp=times, timestamp_sample=times, **axes)
+    return write_ulog(folder / "log.ulg", messages)
+
+
+def dataflash(interval=5000, **columns):
+    """What writes a log of one kind of message, by default of all axes."""
+    times = (5_000_000 + interval * np.arange(64)).astype("u8")
+    names = [f"{sensor}{axis}" for sensor in ("Gyr", "Acc") for axis in "XYZ"]
+    axes = columns or dict(zip(names, VALUES.T, strict=True))
+    return lambda folder: write_dataflash(folder / "log.bin", {"IMU": structured(TimeUS=times, **axes)})
+
+
+IMU, SLOW = Topic(nanos(), VALUES), Topic(nanos(40, 63.0), ACCEL[:40])
+APART = Topic(nanos(128)[20:84], ACCEL)
+# Logs of several sensors, options, and what a user chooses.
+LOGS = {
+    "two topics": (bag(front=IMU, rear=Topic(nanos(), 2.0 * VALUES)), {}, {"topic": "/front"}),
+    "another topic": (bag(imu=IMU), {"topic": "/camera"}, {"topic": "/imu"}),
+    "no messages": (bag(imu=IMU, spare=Topic([], VALUES[:0])), {"topic": "/spare"}, {"topic": "/imu"}),
+    "not halves": (bag(imu=IMU, rear=IMU), {"topic": "/imu,/rear"}, {"topic": "/imu"}),
+    "two rates": (bag(accel=SLOW, gyro=Topic(nanos(), GYRO)), {}, {"topic": "/gyro"}),
+    "apart": (bag(accel=APART, gyro=Topic(nanos(), GYRO)), {}, {"topic": "/gyro"}),
+    "instance of PX4": (ulog, {"instance": 4}, {"instance": 1}),
+    "topic of PX4": (ulog, {"topic": "vehicle_imu"}, {"topic": "sensor_gyro"}),
+    "topic of ArduPilot": (dataflash(), {"topic": "GYR,IMU"}, {"topic": "IMU"}),
+}
+# Logs that have no samples, and what their messages tell to do.
+EMPTY = [
+    (bag(imu=Topic(nanos(), 0.0 * VALUES)), "record it while"),
+    (bag(), "record the IMU"),
+    (dataflash(Roll=np.ones(64, "f4")), "IMU lacks"),
+]
+
+
+@pytest.mark.parametrize("name", LOGS)
+def test_what_to_choose_of_a_log_is_listed(tmp_path, name):
+    write, options, known = LOGS[name]
+    path = write(tmp_path)
+    refused_any(path, options)
+    assert not tried(path, options, {200.0}, KNOWN | known, 3)
 
 
 def header(*lines):
@@ -453,7 +485,88 @@ CALLS = [
     (lambda f: [os.mkfifo(f / "pipe"), aj.read(f / "pipe")], "pipe|copy it to a file"),
     (lambda f: [os.symlink(f / "a.csv", f / "a.csv"), aj.read(f / "a.csv")], "a.csv|symbolic links"),
     (lambda f: [write(f / "imu.npz", HALVES), aj.read_chunks(f / "imu.npz")], "npz|read()"),
+    (lambda f: aj.fit(NOISE, rate=50.0), "gyro_unit=|accel_unit=", aj.AllanjaxError),
+    (lambda f: aj.fit(NOISE, **UNITS), "rate=", aj.AllanjaxError),
+    (lambda f: aj.fit(["a", "b"], rate=1.0, **UNITS), "allanjax.read", aj.AllanjaxError),
+    (lambda f: aj.Recording.from_dataframe(7), "columns by name"),
+    (lambda f: made(NOISE * [1, 1, 1, 1, 1, 0], 50.0, **UNITS).select("accel_z"), "accel_z was left out"),
+    (lambda f: aj.allan_deviation(RECORDING)["mag"], "mag|gyro_x", aj.AllanjaxError),
+    (lambda f: aj.read(f / "none.csv"), "no such file"),
+    (lambda f: [lines("tau,gyro_x [deg/s]", *20 * ["1,2"])(f / "c.csv"), aj.read(f / "c.csv")], "read_curve"),
+    (lambda f: [lines("")(f / "e.csv"), aj.read(f / "e.csv")], "empty"),
+    (
+        lambda f: [(f / "z.csv").write_bytes(b"a" * 600 + bytes(40) * 3), aj.read(f / "z.csv")],
+        "row of numbers",
+    ),
+    (lambda f: [(f / "z.dat").write_bytes(b"a\1\0\2" * 300), aj.read(f / "z.dat")], "CSV"),
+    (lambda f: [lines("gx [deg/s]", *20 * ["0.1", "what"])(f / "w.csv"), aj.read(f / "w.csv")], "awk"),
+    (
+        lambda f: [write(f / "n.npz", {"gyro": np.ones((50, 3, 2))}), aj.read(f / "n.npz")],
+        "[samples, columns]",
+    ),
+    (lambda f: [write(f / "v.npy", np.zeros(9, [("a", "c16")])), aj.read(f / "v.npy")], "dtype"),
+    (lambda f: [(f / "d.npz").write_bytes(b"PK\3\4" + bytes(99)), aj.read(f / "d.npz")], "save it again"),
+    (lambda f: [in_turn(f / "k.csv"), aj.read_chunks(f / "k.csv", columns="gyro")], "several kinds"),
+    (lambda f: aj.convert(1.0, "what", "deg/h"), "deg/h", aj.UnitError),
+    (lambda f: aj.convert(1.0, "m/s^2", "deg/h", "gyro"), "for an accelerometer", aj.UnitError),
 ]
+# Messages that no case here makes, by file and words, and why.
+UNREACHED = {
+    "columns.py: no gyro or accelerometer column; name": "tables without axes are refused before",
+    "arrays.py: claim": "test_binary makes archives and files that claim too much",
+    "table.py: the file claims": "test_binary makes archives and files that claim too much",
+    "table.py: requires {package}": "test_binary hides the packages",
+    "arrays.py: channel.name": "benchmarks damage LabVIEW's files",
+    "chunks.py: leaves out rows that repeat": "test_binary reads sensors in turn in chunks",
+    "chunks.py: at first, but": "test_binary changes the rate within a file",
+    "chunks.py: absent.notes": "test_absent reads markers in chunks",
+    "flight_logs.py: no samples of an IMU": "test_logs makes logs of other messages",
+    "flight_logs.py: batches": "test_logs makes batches",
+    "flight_logs.py: other": "test_logs cuts logs",
+    "ros.py: is damaged": "test_logs damages bags",
+    "ros.py: does not end in": "test_logs renames bags",
+}
+
+
+@pytest.mark.usefixtures("unchecked_shapes")
+def test_every_place_that_makes_an_error_is_reached(tmp_path):
+    """By the cases of this file, in whole and in chunks; the others are listed with the reason."""
+
+    def attempt(call):
+        with suppress(aj.AllanjaxError):
+            call()
+
+    with reached() as there:
+        path = tmp_path / "imu.csv"
+        for make, options, *_ in REMEDIES.values():
+            make(path)
+            attempt(lambda options=options: aj.read(path, **options))
+            attempt(lambda options=options: list(aj.read_chunks(path, chunk=30, **options)))
+        for k, (make, options, *_) in enumerate([*LOGS.values(), *((make, {}) for make, _ in EMPTY)]):
+            (folder := tmp_path / str(k)).mkdir()
+            attempt(lambda: aj.read(make(folder), **options))  # noqa: B023
+        for name, (file, content, options, _) in BINARY.items():
+            (folder := tmp_path / name).mkdir()
+            write(folder / file, content)
+            attempt(lambda: aj.read(folder / file, **UNITS, **options))  # noqa: B023
+        for change, _ in ARRAYS:
+            attempt(lambda: made(**{"values": NOISE, "rate": 50.0, **UNITS, **change}))  # noqa: B023
+        for call, *_ in CALLS:
+            attempt(lambda: call(tmp_path))  # noqa: B023
+    missed = []
+    for (file, first, last), source in places("record").items():
+        is_listed = any(
+            key.partition(": ")[0] in file and key.partition(": ")[2] in source for key in UNREACHED
+        )
+        if not is_listed and not any(at == file and first <= n <= last for at, n in there):
+            missed.append(f"{file}:{first} {source}")
+    assert not missed
+
+
+def test_logs_without_samples_say_what_to_do(tmp_path):
+    for k, (make, words) in enumerate(EMPTY):
+        (folder := tmp_path / str(k)).mkdir()
+        refused(make(folder), words)
 
 
 @pytest.mark.usefixtures("unchecked_shapes")
