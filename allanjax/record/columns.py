@@ -408,7 +408,7 @@ def default_names(
         return (sensors[0],)
     if sensors and count == 3 * len(sensors):
         return tuple(f"{sensor}_{axis}" for sensor in sensors for axis in "xyz")
-    stated = " and ".join(f"{sensor}_unit=" for sensor in sensors) or "no unit"
+    stated = " and ".join(f"{sensor}_unit= (--{sensor}-unit)" for sensor in sensors) or "no unit"
     raise source.error(
         f"{count} columns without names and {stated} given: the columns cannot be identified{seen}; "
         "name them with columns= (--columns; names= of an array), one entry per column, - skips one, e.g. "

@@ -9,10 +9,11 @@ from contextlib import suppress
 import numpy as np
 import pandas as pd
 import pytest
+from commands import run
 from imu_columns import DEG, HEADER, SIX, UNITS, noted, refused, rows
 from logs import Topic, structured, write_bag, write_dataflash, write_ulog
 from raise_sites import places, reached
-from remedies import remedies, with_values
+from remedies import commands, of_python, remedies, with_values
 
 import allanjax as aj
 
@@ -281,6 +282,9 @@ def test_every_remedy_that_an_error_names_leads_to_a_result(tmp_path, name):
     write(path := tmp_path / "imu.csv")
     message = str(refused_any(path, options))
     assert remedies(message) or any(words in message for words in DEEDS), message
+    typed, called = commands(message), of_python(message)
+    assert called.keys() - {"names"} == typed.keys(), message
+    assert all(value in ("", called[key]) for key, value in typed.items() if called[key]), message
     assert not tried(path, options, rates, known, 3)
 
 
@@ -341,6 +345,23 @@ EMPTY = [
     (bag(), "record the IMU"),
     (dataflash(Roll=np.ones(64, "f4")), "IMU lacks"),
 ]
+
+
+@pytest.mark.parametrize(
+    "name", ["lost at random", "two rates", "wrong unit, with gravity", "pause", "steps"]
+)
+def test_remedies_as_commands(tmp_path, name):
+    """`check` with the options that its own error names tells of the recording, and no error."""
+    make, *_ = REMEDIES[name]
+    make(path := tmp_path / "imu.csv")
+    done = run("check", path)
+    assert done.exit_code == 1
+    told = done.output
+    chosen = [with_values(remedy, KNOWN) for remedy in remedies(told)]
+    words = [f"--{key.replace('_', '-')}={value}" for key, value in chosen[0].items()]
+    followed = run("check", path, *words)
+    assert "error" not in followed.stderr, followed.output
+    assert told not in followed.output
 
 
 @pytest.mark.parametrize("name", LOGS)
@@ -448,7 +469,7 @@ ARRAYS = [
     ({"values": NOISE.T}, "(6, 50)|values.T"),
     ({"values": NOISE[None]}, "(1, 50, 6)"),
     ({"values": NOISE[:, :4]}, "4 columns|names="),
-    ({"values": NOISE[:, :3]}, "3 columns|gyro_unit= and accel_unit=|names="),
+    ({"values": NOISE[:, :3]}, "3 columns|gyro_unit=|accel_unit=|names="),
     ({"names": ["gyro_x"]}, "1 names for 6|names="),
     ({"names": [1, 2, 3, 4, 5, 6]}, "names=|'gyro_x'|not 1"),
     ({"values": 1e-31 * NOISE}, "'gyro_x'|1e-30|unit"),

@@ -29,6 +29,20 @@ def remedies(message: str) -> list[Remedy]:
     return found
 
 
+def commands(message: str) -> dict[str, str]:
+    """The options that a message has in their form for commands, and their values if it has them."""
+    found = {}
+    for group in _COMMAND.findall(message):
+        for name, quoted, value in re.findall(r"--([a-z-]+)(?: (?:'([^']*)'|([^\s;']+)))?", group):
+            found[name.replace("-", "_")] = quoted or value.rstrip(",")
+    return found
+
+
+def of_python(message: str) -> dict[str, str]:
+    """The options that a message has in their form for Python, and their values if it has them."""
+    return {name: "".join(values) for name, *values in _OPTION.findall(_COMMAND.sub("", message))}
+
+
 class Followed(NamedTuple):
     """What comes of following remedies: a recording or a refusal, and the options of each step."""
 
