@@ -5,7 +5,8 @@ differs from axis to axis (`benchmarks/common/logged_texts.py`). It is read with
 refused, the first remedy of the message that its owner can follow is followed, up to three in a row; owners
 know units, rate and the order of columns. *Right*: all axes, the rate within 0.2 %, and the white noise, from
 the differences of neighbours, within 3 % of that of the samples written; of a part of these, or with others
-filled in, within 3 % and four standard errors. Seeds below 1000 served to develop the readers.
+filled in, within 3 % and four standard errors. Seeds below 1000 served to develop the readers; of seeds from
+1000 to 1779 four were refused and one was wrong (a torn row whose numbers were taken apart, since mended).
 """
 
 from __future__ import annotations
@@ -28,7 +29,7 @@ OUTCOMES = ("right", "right by its remedy", "refused", "wrong")
 _RATE, _NOISE = 2e-3, 0.03
 
 
-def run(*, seed: int = 1000, count: int = 780, show: bool = False) -> Iterator[str]:
+def run(*, seed: int = 2000, count: int = 400, show: bool = False) -> Iterator[str]:
     found: dict[str, Counter[str]] = {kind: Counter() for kind in LAYOUTS}
     examples = []
     with tempfile.TemporaryDirectory() as folder:

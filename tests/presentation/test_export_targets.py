@@ -300,6 +300,19 @@ def test_a_markov_process_goes_between_targets_that_have_one(tmp_path):
         assert error_of("gz-sim", made, model, RATE) < TOLERANCE
 
 
+def test_of_imu_utils_the_user_says_which_fork(tmp_path):
+    """By hand: in the original n is N times the root of the rate, 400 Hz; in mintar's it is N."""
+    text = "%YAML:1.0\nGyr:\n   avg-axis:\n      gyr_n: 2.0e-03\n      gyr_w: 3.0e-05\n"
+    (tmp_path / "there.yaml").write_text(text, encoding="utf-8")
+    asked = run("export", "there.yaml", "--from", "imu_utils", "--to", "kalibr")
+    assert asked.exit_code == 1
+    for name, n, w in (("imu_utils-original", 1e-4, None), ("imu_utils-mintar", 2e-3, 3e-5)):
+        assert f"--from {name}" in asked.stderr
+        got = converted(tmp_path, text, name, "kalibr", "--rate", 400)
+        assert number(got, "gyroscope_noise_density") == pytest.approx(n, rel=1e-5)
+        assert number(got, "gyroscope_random_walk") == w
+
+
 @pytest.mark.parametrize(
     ("text", "source", "target", "word"),
     [
