@@ -1,16 +1,15 @@
 """Where modules of the package make errors, and which of these places calls have reached."""
 
 import ast
-import sys
+import inspect
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from unittest import mock
 
-import allanjax
-import allanjax.base.errors as errors
+import allanjax as aj
 
-_ROOT = Path(allanjax.__file__).parent
+_ROOT = Path(aj.__file__).parent
 _MAKERS = {"error", "_error", "RecordingError", "UnitError", "AllanjaxError"}
 
 #: A place: the file, and the first and the last line of the call that makes the error.
@@ -36,16 +35,16 @@ def places(*folders: str) -> dict[Place, str]:
 def reached() -> Iterator[set[tuple[str, int]]]:
     """Collect files and lines of all calls within the package from which errors are made."""
     lines: set[tuple[str, int]] = set()
-    begin = errors.AllanjaxError.__init__
+    begin = aj.AllanjaxError.__init__
 
     def init(self: Exception, *given: object, **named: object) -> None:
-        frame = sys._getframe(1)
-        while frame is not None and len(lines) >= 0:
+        frame = inspect.currentframe()
+        while frame is not None:
             path = Path(frame.f_code.co_filename)
             if _ROOT in path.parents:
                 lines.add((str(path.relative_to(_ROOT)), frame.f_lineno))
-            frame = frame.f_back  # type: ignore[assignment]
+            frame = frame.f_back
         begin(self, *given, **named)
 
-    with mock.patch.object(errors.AllanjaxError, "__init__", init):
+    with mock.patch.object(aj.AllanjaxError, "__init__", init):
         yield lines
