@@ -525,6 +525,18 @@ def test_a_damaged_message_is_a_missing_sample(tmp_path):
     refused(path, "line 22, '$IMU,|gaps='fill'", rate=RATE, **UNITS)
 
 
+def test_notes_on_later_chunks_come_with_them(tmp_path):
+    path = tmp_path / "imu.csv"
+    lines = [",".join(HEADER), *rows(np.tile(NOISE, (2000, 1)))]
+    # Text is parsed in blocks of 4 MB.
+    lines.insert(95_000, "wifi connected")
+    path.write_text("\n".join([*lines, ""]))
+    recording = aj.read_chunks(path, rate=RATE, chunk=1000)
+    assert not noted(recording, "wifi")
+    assert sum(map(len, recording)) == 2000 * N
+    assert noted(recording, "line 95001, 'wifi connected'")
+
+
 @pytest.mark.parametrize("place", [20, N - 1])
 def test_numbers_of_a_torn_message_are_not_taken_apart(tmp_path, place):
     """Behind a clock, separated by blanks alone; a row with too few numbers is a missing sample."""
