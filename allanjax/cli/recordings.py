@@ -235,14 +235,17 @@ def _accumulate_and_fit(file: Input, options: FitOptions) -> "Fit":
             share = f" of {total:,}" if total else ""
             show(f"{file.label}: reading, {done:,} samples{share}")
 
-        accumulator = accumulate(open_chunks(file.path, reading, label=file.label), progress=progress)
+        recording = open_chunks(file.path, reading, label=file.label)
+        accumulator = accumulate(recording, progress=progress)
         inspection = accumulator.inspect(as_is=options.as_is, vibrating=options.vibrating)
         if inspection.longest_part is not None:
             # Disturbed parts cannot be removed from the sums, so the file is read again without them.
             reading = reading.within(inspection.longest_part)
-            accumulator = accumulate(open_chunks(file.path, reading, label=file.label), progress=progress)
+            recording = open_chunks(file.path, reading, label=file.label)
+            accumulator = accumulate(recording, progress=progress)
     with fitting(file, accumulator):
-        return accumulator.fit_inspected(inspection, options.model, options.objective)
+        found = accumulator.fit_inspected(inspection, options.model, options.objective)
+    return dataclasses.replace(found, notes=recording.notes + found.notes)
 
 
 def critique(

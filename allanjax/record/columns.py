@@ -1,5 +1,6 @@
 """Columns, recognised by their labels as axes, time stamps or others; axes and dead axes of a recording."""
 
+import difflib
 import os
 import re
 from collections import Counter
@@ -11,10 +12,20 @@ from typing import TYPE_CHECKING, Any, ClassVar, Literal, Self, cast
 import numpy as np
 from jaxtyping import Float
 
+from allanjax.base.earth import STANDARD_GRAVITY
 from allanjax.base.errors import AllanjaxError, UnitError
 from allanjax.base.late import presented
 from allanjax.base.wording import harmless
-from allanjax.record.units import COUNT_SIZES, SENSORS, Sensor, parse_sample_unit, same_unit
+from allanjax.record.units import (
+    COUNT_SIZES,
+    SAMPLE_UNITS,
+    SENSORS,
+    SI,
+    Sensor,
+    parse_sample_unit,
+    same_unit,
+    unit_scale,
+)
 from allanjax.record.validation import Source
 
 if TYPE_CHECKING:
@@ -34,11 +45,11 @@ _INCREMENTS: dict[Sensor, str] = {
     "accel": r"delta_?v(?:el(?:ocity)?)?|d_?v(?:el(?:ocity)?)?",
 }
 # A letter is a sensor only alone before the axis: `gx`, not `mag_x`; or with EuRoC's frames, `w_RS_S_x`.
-_LETTERS: dict[Sensor, str] = {"gyro": "(?:g|w(?:_rs_s)?)", "accel": "a(?:_rs_s)?"}
+_LETTERS: dict[Sensor, str] = {"gyro": "(?:g|w(?:_rs_s)?)", "accel": "(?:a(?:_rs_s)?|g_f)"}
 # Words for quantities about a sensor that are not samples; and accuracies, such as `hAcc`.
 _NOT_A_SAMPLE = re.compile(
     r"(?:^|_)(?:bias|offset|scale|sigma|std|var|variance|cov|covariance|noise|accuracy|range|temp|temperature"
-    r"|time|timestamp|stamp|status|flags?|valid|health|error|errors|count|counter|clipping|clip|dt|id)(?:_|$)"
+    r"|time|timestamp|stamp|abs|absolute|magnitude|norm|status|flags?|valid|health|error|errors|count|counter|clipping|clip|dt|id)(?:_|$)"
 )
 _ACCURACY = re.compile(r"(?!imu|sensor|lin|[xyz]_)[a-z]+_acc")
 # Words at the end of a name that describe the processing.
@@ -74,6 +85,13 @@ _MAYBE_TIME = re.compile(
 )
 # Names of the cluster times of Allan curves, which are no recordings.
 _CLUSTER_TIME = re.compile(r"taus?|(?:cluster|averaging|correlation)_time")
+
+
+# Units in examples of a header.
+_USUAL: dict[Sensor, str] = {"gyro": "deg/s", "accel": "m/s^2"}
+# Units in which accelerometers may show gravity, and to what part.
+_GRAVITY_IN = ("m/s²", "g", "mg", "cm/s²", "mm/s²", "ft/s²", *(f"g/{2**bits}" for bits in range(10, 20)))
+_ABOUT_GRAVITY = 0.1
 
 
 @dataclass(frozen=True)
@@ -168,6 +186,8 @@ def _axis(label: str, words: str, unit: str | None) -> Column | None:
             if match is not None:
                 axis = match[1] or match[2]
                 name = f"{sensor}_{axis}" if axis else sensor
+                # Of a magnetometer it is gauss.
+                unit = "g" if unit == "G" and sensor == "accel" else unit
                 return Column(label, "axis", name, sensor, unit, increment)
     return None
 
@@ -220,27 +240,35 @@ class DeadAxis:
 
 
 def axes_of(
-    columns: Sequence[Column], units: Mapping[Sensor, str | None], source: Source
+    columns: Sequence[Column],
+    units: Mapping[Sensor, str | None],
+    source: Source,
+    samples: Sequence[np.ndarray] = (),
 ) -> tuple[tuple[Axis, ...], tuple[str, ...]]:
-    """Return axes from columns, in the unit given for the sensor or else that of the label; and notes."""
+    """Return axes from columns, in the unit given for the sensor or else that of the label; and notes.
+
+    Samples of the columns serve to propose a unit where it is missing or wrong.
+    """
     axes, increments = [], []
     stated: dict[str, list[str]] = {}
-    for column in distinct(columns, source):
+    named = distinct(columns, source)
+    nameless: dict[Sensor, Column] = {}
+    for column in named:
         if column.sensor is None:
             raise source.error(
                 f"{column.label!r} is not an axis of a gyro or an accelerometer; use names such as gyro_x or "
                 "accel_z, and pass other columns with auxiliary="
             )
-        sensor, given = column.sensor, units[column.sensor]
-        option = f"{sensor}_unit= (--{sensor}-unit)"
-        text = column.unit if given is None else given
-        if text is None:
-            example = "deg/s" if sensor == "gyro" else "m/s^2"
-            size = source.sizes.get(sensor, COUNT_SIZES[sensor])
-            raise UnitError(
-                f"{source.label}: column {column.label!r} has no unit; pass {option}, for counts the size of "
-                f"one such as {size}, or write it in the header: `{column.name} [{example}]`"
-            )
+        if column.unit is None and units[column.sensor] is None:
+            nameless.setdefault(column.sensor, column)
+    if nameless:
+        options = [_unit_option(sensor, "", columns, samples) for sensor in nameless]
+        raise UnitError(f"{source.label}: {_without_unit(nameless, options, source)}")
+    for column in named:
+        sensor = cast(Sensor, column.sensor)
+        given = units[sensor]
+        text = (column.unit or "") if given is None else given
+        option = _unit_option(sensor, text, columns, samples)
         try:
             unit = parse_sample_unit(text, sensor)
         except UnitError as error:
@@ -248,21 +276,52 @@ def axes_of(
             wrong = ours if given is None else f"{option}: {error}"
             raise UnitError(f"{source.label}: {wrong}") from error
         if column.increment and unit.quantity == "rate" and given is None:
+            usual = SI[sensor]["increment"]
             raise UnitError(
                 f"{source.label}: column {column.label!r} holds increments by its name, but {unit.name} "
-                f"is a unit of rates; pass {option}"
+                f"is a unit of rates; pass the unit that it has, such as {sensor}_unit='{usual}' "
+                f"(--{sensor}-unit {usual})"
             )
-        axes.append(Axis(column.name, column.sensor, unit.name))
-        if (own := recognise(column.label).unit) and not same_unit(own, unit.name):
-            stated.setdefault(f"read in {unit.name} as requested, although labelled {own}", []).append(
-                column.name
-            )
+        axes.append(Axis(column.name, sensor, unit.name))
+        labelled = recognise(column.label).unit
+        if labelled and not same_unit(labelled, unit.name):
+            how = f"read in {unit.name} as requested, although labelled {labelled}"
+            stated.setdefault(how, []).append(column.name)
         if unit.quantity == "increment":
             increments.append(column.name)
     notes = [f"{', '.join(names)} {how}" for how, names in stated.items()]
     if increments:
         notes.append(f"increments multiplied by the rate: {', '.join(increments)}")
     return tuple(axes), tuple(notes)
+
+
+def _without_unit(columns: Mapping[Sensor, Column], options: Sequence[str], source: Source) -> str:
+    """Return that these columns have no unit, and the options that state it, in words."""
+    labels = " and ".join(repr(column.label) for column in columns.values())
+    sizes = " and ".join(source.sizes.get(sensor, COUNT_SIZES[sensor]) for sensor in columns)
+    headers = " and ".join(f"`{c.name} [{_USUAL[sensor]}]`" for sensor, c in columns.items())
+    what = f"column {labels} has" if len(columns) == 1 else f"columns {labels} have"
+    return (
+        f"{what} no unit; pass {' and '.join(options)}, for counts the size of one such as {sizes}, or write "
+        f"it in the header: {headers}"
+    )
+
+
+def _unit_option(sensor: Sensor, text: str, columns: Sequence[Column], samples: Sequence[np.ndarray]) -> str:
+    """The option that states the unit of a sensor, with the unit that samples or a misspelt one suggest."""
+    near = difflib.get_close_matches(text, SAMPLE_UNITS[sensor]["rate"], 1)
+    found, why = "".join(near), "if that is meant"
+    own = [x for column, x in zip(columns, samples, strict=False) if column.sensor == sensor]
+    if sensor == "accel" and len(own) == len("xyz") and all(x.dtype.kind in "fiu" for x in own):
+        mean = float(np.linalg.norm([np.nanmean(x) for x in own]))
+        off = {unit: abs(unit_scale(unit) * mean / STANDARD_GRAVITY - 1.0) for unit in _GRAVITY_IN}
+        best = min(off, key=lambda unit: off[unit])
+        if off[best] < _ABOUT_GRAVITY:
+            found, why = best, f"in which they average gravity ({mean:.4g})"
+    found = found.replace("²", "^2")
+    return f"{sensor}_unit=" + (
+        f"'{found}' (--{sensor}-unit {found}), {why}" if found else f" (--{sensor}-unit)"
+    )
 
 
 class OfAxes:
@@ -330,8 +389,8 @@ def scales_of(axes: Sequence[Axis], rate: float) -> Float[np.ndarray, " axes"]:
     return np.array([unit.scale * (rate if unit.quantity == "increment" else 1.0) for unit in units])
 
 
-# Names of columns in a message that asks for them.
-_EXAMPLE = ("time", *(f"{sensor}_{axis}" for sensor in SENSORS for axis in "xyz"))
+#: Names of columns in a message that asks for them.
+EXAMPLE = ("time", *(f"{sensor}_{axis}" for sensor in SENSORS for axis in "xyz"))
 
 
 def default_names(
@@ -349,11 +408,11 @@ def default_names(
         return (sensors[0],)
     if sensors and count == 3 * len(sensors):
         return tuple(f"{sensor}_{axis}" for sensor in sensors for axis in "xyz")
-    stated = " and ".join(f"{sensor}_unit=" for sensor in sensors) or "no unit"
+    stated = " and ".join(f"{sensor}_unit= (--{sensor}-unit)" for sensor in sensors) or "no unit"
     raise source.error(
         f"{count} columns without names and {stated} given: the columns cannot be identified{seen}; "
         "name them with columns= (--columns; names= of an array), one entry per column, - skips one, e.g. "
-        f"{','.join(_EXAMPLE[-count:] if count < 7 else _EXAMPLE + ('-',) * (count - 7))}"
+        f"{','.join(EXAMPLE[-count:] if count < 7 else EXAMPLE + ('-',) * (count - 7))}"
     )
 
 

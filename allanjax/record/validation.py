@@ -78,12 +78,15 @@ def check_names(names: Sequence[str], argument: str, source: Source) -> None:
         raise source.error(f"{argument} takes names of columns, e.g. ['gyro_x', 'accel_z'], not {other!r}")
 
 
-def check_length(samples: int, source: Source) -> None:
-    """Raise `RecordingError` if there are fewer than `MIN_SAMPLES` samples."""
+def check_length(samples: int, source: Source, is_part: bool = False) -> None:
+    """Raise `RecordingError` if there are fewer than `MIN_SAMPLES` samples; `is_part` if it may be longer."""
     if samples < MIN_SAMPLES:
+        remedy = "use a longer recording"
+        if is_part:
+            remedy = "read a longer part with start= and stop= (--start, --stop)"
         raise source.error(
             f"too short: {samples} samples, but at least {MIN_SAMPLES} are needed (thousands for a useful "
-            "fit); use a longer recording, or a longer part with start= and stop= (--start, --stop)"
+            f"fit); {remedy}"
         )
 
 
@@ -127,10 +130,10 @@ def check_finite(column: Float[np.ndarray, " samples"], label: str, source: Sour
 
 
 def constant_error(label: str, value: float, source: Source) -> RecordingError:
-    """Return the RecordingError for a column with this constant value."""
+    """Return the RecordingError for columns that are all constant, the first of them at this value."""
     return source.error(
-        f"column {label!r} is constant ({value:g} from {source.locate(0)} on): the sensor seems stuck "
-        "or disconnected; leave it out with columns= (--columns)",
+        f"column {label!r} is constant ({value:g} from {source.locate(0)} on), and no other axis varies: the "
+        "sensor seems stuck or disconnected; record it again",
         "dead axis",
     )
 

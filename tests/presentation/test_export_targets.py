@@ -23,7 +23,7 @@ pytestmark = pytest.mark.usefixtures("elsewhere")
 
 # Steps of 12 ms and less make an error of 1.2 % of the covariance of angle and bias over 1 s.
 TOLERANCE = 0.02
-WITHOUT_BIAS = ("glim", "robot_localization", "isaac-lab", "gazebo-classic")
+WITHOUT_BIAS = ("imu_utils-original", "glim", "robot_localization", "isaac-lab", "gazebo-classic")
 
 
 @functools.cache
@@ -209,7 +209,9 @@ def test_a_value_beyond_the_documented_range_is_commented_out(tmp_path, target):
 UNREADABLE = ("imu_utils", "gtsam", "airsim", "isaac-lab", "pegasus", "matlab")
 OWN_N, OWN_K = {"gyro": 1.7e-4, "accel": 2.0e-3}, {"gyro": 1.9e-5, "accel": 6.0e-4}
 # Whose files hold no walk of a bias: none, or a Markov process.
-WITHOUT_WALK = "glim robot_localization gz-sim gazebo-classic rotors hybvio kf-gins ob-gins"
+WITHOUT_WALK = (
+    "imu_utils-original glim robot_localization gz-sim gazebo-classic rotors hybvio kf-gins ob-gins"
+)
 # As Kalibr's wiki has it.
 KALIBR = f"""#Accelerometers
 accelerometer_noise_density: {OWN_N["accel"]:.6e}   #Noise density (continuous-time)
@@ -296,6 +298,19 @@ def test_a_markov_process_goes_between_targets_that_have_one(tmp_path):
         sensor, name = axis.split()
         model = {sensor: {name: (n, std * math.sqrt(2.0 / T), T)}}
         assert error_of("gz-sim", made, model, RATE) < TOLERANCE
+
+
+def test_of_imu_utils_the_user_says_which_fork(tmp_path):
+    """By hand: in the original n is N times the root of the rate, 400 Hz; in mintar's it is N."""
+    text = "%YAML:1.0\nGyr:\n   avg-axis:\n      gyr_n: 2.0e-03\n      gyr_w: 3.0e-05\n"
+    (tmp_path / "there.yaml").write_text(text, encoding="utf-8")
+    asked = run("export", "there.yaml", "--from", "imu_utils", "--to", "kalibr")
+    assert asked.exit_code == 1
+    for name, n, w in (("imu_utils-original", 1e-4, None), ("imu_utils-mintar", 2e-3, 3e-5)):
+        assert f"--from {name}" in asked.stderr
+        got = converted(tmp_path, text, name, "kalibr", "--rate", 400)
+        assert number(got, "gyroscope_noise_density") == pytest.approx(n, rel=1e-5)
+        assert number(got, "gyroscope_random_walk") == w
 
 
 @pytest.mark.parametrize(

@@ -386,6 +386,112 @@ def test_messages(tmp_path, how):
         np.testing.assert_allclose(np.concatenate([*parts]), SI, rtol=1e-14)
 
 
+def of_sensor(name, k, values, **more):
+    return {"sensor": name, "time": int(NS[k]), **dict(zip("zyx", values[::-1], strict=True)), **more}
+
+
+def records(make):
+    return [make(k, row) for k, row in enumerate(NOISE.tolist())]
+
+
+def three(x):
+    return dict(zip("xyz", x, strict=True))
+
+
+FLAT = records(lambda k, x: {"t": k / RATE, **dict(zip(SIX, x, strict=True))})
+DOCUMENTS = {
+    "an array in a line": json.dumps(FLAT),
+    "an array in lines": "[\n" + ",\n".join(map(json.dumps, FLAT)) + "\n]",
+    "indented": json.dumps(FLAT, indent=2),
+    "numbers in quotes": json.dumps([{name: str(x) for name, x in record.items()} for record in FLAT]),
+    "within an object": json.dumps({"device": "X9", "samples": FLAT}),
+    "nested": json.dumps(
+        records(lambda k, x: {"t": k / RATE, "gyro": x[:3], "imu": {"accel": three(x[3:])}})
+    ),
+    "arrays by name": json.dumps(
+        {"rate": RATE, **{name: list(x) for name, x in zip(SIX, NOISE.T, strict=True)}}
+    ),
+    "matrices": json.dumps({"rate": RATE, "gyro": NOISE[:, :3].tolist(), "accel": NOISE[:, 3:].tolist()}),
+}
+
+
+@pytest.mark.parametrize("how", DOCUMENTS)
+def test_json_documents(tmp_path, how):
+    path = tmp_path / "imu.json"
+    path.write_text(DOCUMENTS[how])
+    check(aj.read(path, **UNITS))
+    parts = aj.read_chunks(path, chunk=20, **UNITS)
+    np.testing.assert_allclose(np.concatenate([*parts]), SI, rtol=1e-14)
+    # What is cut off is no document; its lines are read as text.
+    path.write_text(DOCUMENTS["an array in lines"][:-90])
+    assert aj.read(path, **UNITS).n == N - 1
+
+
+def test_json_of_phones_names_its_sensors(tmp_path):
+    """Of two sensors one is read; with the values in an object of their own, too."""
+    path = tmp_path / "imu.json"
+    both = [
+        of_sensor(name, k, x[k0:][:3])
+        for k, x in enumerate(NOISE.tolist())
+        for name, k0 in (("Gyroscope", 0), ("Accelerometer", 3))
+    ]
+    path.write_text(json.dumps(both))
+    with pytest.raises(aj.RecordingError, match=r"gyro and accel.*columns='gyro'"):
+        aj.read(path)
+    recording = aj.read(path, columns="accel", accel_unit="g")
+    np.testing.assert_allclose(recording[SIX[3:]].values, SI[:, 3:], rtol=1e-14)
+    inner = [
+        {"name": "gyroscope", "time": int(NS[k]), "values": three(x[:3])}
+        for k, x in enumerate(NOISE.tolist())
+    ]
+    path.write_text("\n".join(map(json.dumps, inner)))
+    recording = aj.read(path, gyro_unit="deg/s")
+    assert (recording.names, recording.rate) == (SIX[:3], pytest.approx(RATE))
+    np.testing.assert_allclose(recording.values, SI[:, :3], rtol=1e-14)
+
+
+TRIAD = ["x", "y", "z"]
+# A header of an app, what is before it, and the factor to SI of its columns behind the time.
+APPS = {
+    "phyphox": (["Time (s)", *(f"Gyroscope {a} (rad/s)" for a in TRIAD), "Absolute (rad/s)"], [], [1, 1, 1]),
+    "Physics Toolbox": (["time", "gFx", "gFy", "gFz", "wx", "wy", "wz"], [], [*3 * [G0], 1, 1, 1]),
+    "SensorLog": (["t (s)", *(f"accelerometerAcceleration{a}(G)" for a in "XYZ")], [], 3 * [G0]),
+    "Movella DOT": (
+        ["PacketCounter", "SampleTimeFine", *(f"Gyr_{a}" for a in "XYZ"), *(f"Acc_{a}" for a in "XYZ")],
+        ["DeviceTag: DOT", "OutputRate: 100Hz"],
+        [*3 * [DEG], 1, 1, 1],
+    ),
+    "increments of Movella DOT": (
+        ["SampleTimeFine", "dv[1]", "dv[2]", "dv[3]"],
+        ["Measurement Mode: Rate quantities"],
+        3 * [RATE],
+    ),
+}
+
+
+@pytest.mark.parametrize("name", APPS)
+def test_exports_of_apps_need_no_units(tmp_path, name):
+    header, before, scales = APPS[name]
+    path = tmp_path / "export.csv"
+    micros = [[int(1e6 * k / RATE)] if "SampleTimeFine" in header else [k / RATE] for k in range(N)]
+    counters = [[k] for k in range(N)] if "PacketCounter" in header else N * [[]]
+    own = NOISE[:, : len(scales)]
+    table = [[*count, *t, *x] for count, t, x in zip(counters, micros, own.tolist(), strict=True)]
+    # A magnitude is no axis.
+    more = [[1.0 + k % 2] if "Absolute (rad/s)" in header else [] for k in range(N)]
+    lines = [";".join(map(repr, [*row, *end])) for row, end in zip(table, more, strict=True)]
+    path.write_text("\n".join([*before, ";".join(header), *lines, ""]))
+    recording = aj.read(path)
+    assert recording.rate == pytest.approx(RATE)
+    np.testing.assert_allclose(recording.values, own * scales, rtol=1e-12)
+
+
+def test_a_file_of_noise_coefficients_is_named_as_one(tmp_path):
+    path = tmp_path / "imu.yaml"
+    path.write_text("Gyr:\n   avg-axis:\n      gyr_n: 1.7e-03\n")
+    refused(path, f"no samples|allanjax export '{path}' --from imu_utils --to kalibr")
+
+
 def test_times_in_messages(tmp_path):
     path = tmp_path / "imu.txt"
     for how, begun in {
@@ -419,13 +525,38 @@ def test_a_damaged_message_is_a_missing_sample(tmp_path):
     refused(path, "line 22, '$IMU,|gaps='fill'", rate=RATE, **UNITS)
 
 
+def test_notes_on_later_chunks_come_with_them(tmp_path):
+    path = tmp_path / "imu.csv"
+    lines = [",".join(HEADER), *rows(np.tile(NOISE, (2000, 1)))]
+    # Text is parsed in blocks of 4 MB.
+    lines.insert(95_000, "wifi connected")
+    path.write_text("\n".join([*lines, ""]))
+    recording = aj.read_chunks(path, rate=RATE, chunk=1000)
+    assert not noted(recording, "wifi")
+    assert sum(map(len, recording)) == 2000 * N
+    assert noted(recording, "line 95001, 'wifi connected'")
+
+
+@pytest.mark.parametrize("place", [20, N - 1])
+def test_numbers_of_a_torn_message_are_not_taken_apart(tmp_path, place):
+    """Behind a clock, separated by blanks alone; a row with too few numbers is a missing sample."""
+    path = tmp_path / "imu.txt"
+    lines = [
+        f"[10:22:{33 + k / 100:06.3f}] {' '.join(map(repr, row))}" for k, row in enumerate(NOISE.tolist())
+    ]
+    lines[place] = lines[place][:50]
+    path.write_text("\n".join(lines))
+    more = {"columns": f"time,{','.join(SIX)}", "gaps": "fill" if place < N - 1 else None}
+    recording = aj.read(path, **more, **UNITS)
+    kept = np.arange(recording.n) != place
+    np.testing.assert_allclose(recording.own_values[kept], NOISE[: recording.n][kept], rtol=1e-14)
+
+
 def test_too_many_other_lines_are_described_with_a_command(tmp_path):
     path = tmp_path / "imu.csv"
     torn = [line if k % 4 else line.replace(",", ";", 3) for k, line in enumerate(rows(NOISE))]
     path.write_text("\n".join([",".join(HEADER), *torn, ""]))
     refused(path, "12 of 50 lines are no rows of 6 numbers|line 2, |awk -F',' 'NF==6'", rate=RATE)
-    path.write_text(json.dumps([dict(zip(SIX, row, strict=True)) for row in NOISE.tolist()]))
-    refused(path, f"first line; line 1 is|jq -c '.[]' '{path}'", rate=RATE)
     path.write_text("\n".join(["can0 123#DEADBEEF", *30 * ["can0 124#CAFEBABE"], ""]))
     refused(path, "31 lines|line 16 is 'can0 124#CAFEBABE'|time [s],gyro_x [deg/s]", rate=RATE)
 

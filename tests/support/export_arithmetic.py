@@ -157,6 +157,8 @@ TARGETS = {
     "kalibr": ("{long}_noise_density {long}_random_walk", walk),
     "allan_variance_ros": ("{long}_noise_density {long}_random_walk", walk),
     "imu_utils": ("{Stem}.{axis}-axis.{stem}_n {Stem}.{axis}-axis.{stem}_w", walk),
+    "imu_utils-mintar": ("{Stem}.{axis}-axis.{stem}_n {Stem}.{axis}-axis.{stem}_w", walk),
+    "imu_utils-original": ("{Stem}.{axis}-axis.{stem}_n", lambda dt, n: Step(dt, (n * dt) ** 2, None)),
     "vins-mono": ("{stem}_n {stem}_w", vins),
     "vins-fusion": ("{stem}_n {stem}_w", vins),
     "orb_slam3": ("IMU.Noise{Short} IMU.{Short}Walk", walk),
@@ -208,7 +210,8 @@ def step(target: str, text: str, sensor: str, axis: str, rate: float) -> Step:
 
 STEPS = {target: partial(step, target) for target in TARGETS}
 #: Targets that hold a value for each axis; those with one correlation time for all, and with any.
-EACH = ("imu_utils", "basalt", "gtsam", "kf-gins", "robot_localization", "gz-sim", "gazebo-classic", "matlab")
+EACH = ("imu_utils", "imu_utils-mintar", "imu_utils-original", "basalt", "gtsam", "kf-gins")
+EACH += ("robot_localization", "gz-sim", "gazebo-classic", "matlab")
 ONE_TIME = ("kf-gins", "ob-gins")
 WITH_TIME = ("kf-gins", "ob-gins", "gz-sim", "rotors", "pegasus")
 

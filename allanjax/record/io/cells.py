@@ -45,13 +45,14 @@ def split(text: str, delimiter: str | None) -> list[str]:
 
 
 def trimmed(cells: list[str]) -> list[str]:
-    """Return the cells without an empty one after a delimiter at the end of the line."""
-    return cells[:-1] if len(cells) > 1 and not cells[-1] else cells
+    """Return the cells without empty ones at the end of the line."""
+    size = max((k + 1 for k, cell in enumerate(cells) if cell), default=1)
+    return cells[:size]
 
 
 def fits(cells: list[str], count: int) -> bool:
-    """Whether there are so many cells, apart from an empty one after a delimiter at the end of the line."""
-    return len(cells) == count or (len(cells) == count + 1 and not cells[-1])
+    """Whether there are so many cells, apart from empty ones at the end of the line."""
+    return len(cells) >= count and not any(cells[count:])
 
 
 def is_number(text: str) -> bool:

@@ -29,6 +29,7 @@ from allanjax.record.io.table import Columns, Table, as_float, is_numeric
 from allanjax.record.io.times import IGNORE, MAX_RATE_DIFFERENCE, Clock, Seconds
 from allanjax.record.units import Sensor
 from allanjax.record.validation import (
+    MIN_SAMPLES,
     Source,
     bad_cells,
     check_finite,
@@ -37,7 +38,7 @@ from allanjax.record.validation import (
     usable,
 )
 
-# Time stamps before a chunk that are checked together with those of the chunk.
+# So many time stamps before a chunk are checked together with those of the chunk.
 _BEFORE = 1024
 
 
@@ -54,7 +55,6 @@ class ChunkedRecording:
         rate: sample rate in Hz.
         axes: axes, one per column.
         name: name of the file without its suffix.
-        notes: assumptions and findings of the reader that users should know.
         n: number of samples, if it is known before they are read.
         given: sensors whose unit was given, as in `Recording`.
     """
@@ -62,10 +62,15 @@ class ChunkedRecording:
     rate: float
     axes: tuple[Axis, ...]
     name: str
-    notes: tuple[str, ...]
     n: int | None
     given: Mapping[Sensor, float]
+    _notes: tuple[str, ...]
     _part: "_PartOfFile"
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """Assumptions and findings that users should know; complete when all samples have been read."""
+        return (*self._part.table.notes, *self._notes)
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -114,7 +119,7 @@ class ChunkedRecording:
                 varies |= ((values != first) & numbers).any(axis=0)
             values *= self.own_scales
             yield values
-        check_length(count, place)
+        check_length(count, place, self._part.is_cut)
         if silent.all():
             raise bad_cells(labels[0], count, 0, place)
         if not varies.any():
@@ -178,13 +183,13 @@ def chunks_of(table: Table, name: str, options: ReadOptions, chunk: int) -> Chun
     if layout.clock:
         found = _timed(part, layout.stamps(first), first, rate, options)
     elif rate is None:
-        raise no_rate_error(source)
+        raise no_rate_error(source, layout)
     else:
         found = _counted(part, rate)
     if layout.auxiliary:
         notes += (f"not read: {', '.join(column.name for column in layout.auxiliary)}",)
-    every = (*table.notes, *layout.notes, *notes, *found.notes)
-    return ChunkedRecording(found.rate, layout.axes, name, every, found.n, layout.given, found.part)
+    every = (*layout.notes, *notes, *found.notes)
+    return ChunkedRecording(found.rate, layout.axes, name, found.n, layout.given, every, found.part)
 
 
 @dataclass(frozen=True)
@@ -204,7 +209,7 @@ def _counted(part: "_PartOfFile", rate: float) -> _Opened:
         return _Opened(part, rate, (), None)
     rows = rows_between(n, rate, part.start, part.stop)
     check_rows(rows, n / rate, source)
-    check_length(rows.stop - rows.start, source)
+    check_length(rows.stop - rows.start, source, n >= MIN_SAMPLES)
     whole = rows == slice(0, n)
     notes = () if whole else (f"samples {rows.start:,} to {rows.stop - 1:,} of {n:,} read",)
     return _Opened(part, rate, notes, rows.stop - rows.start)
@@ -226,7 +231,7 @@ def _timed(
         if not own_rows(rows, layout.columns).all():
             raise source.error("only read() (without --stream) leaves out rows that repeat previous values")
     times, place = part.first_times()
-    check_length(len(times), place)
+    check_length(len(times), place, part.is_cut)
     step = clock.step(stamps)
     grid = Stamps(times, step, clock.label, place, more=True).grid(
         options.rate, gaps=False, uniform=options.uniform, force=options.force
@@ -251,6 +256,11 @@ class _PartOfFile:
     chunk: int
     stamped: float | None = None
     step: float = 0.0
+
+    @property
+    def is_cut(self) -> bool:
+        """Whether it may be less than the whole."""
+        return (self.start, self.stop) != (None, None)
 
     def first_times(self) -> tuple[Seconds, Source]:
         """Return the times [s] of the first samples, at most a chunk, and their place in the file."""

@@ -6,6 +6,7 @@ from pathlib import Path
 from allanjax.base.wording import harmless
 from allanjax.record.io.arrays import HDF5, MAT, NPY, NPZ, PARQUET, TDMS
 from allanjax.record.io.flight_logs import DATAFLASH, ULOG
+from allanjax.record.io.json_documents import JSON
 from allanjax.record.io.ros import ROS
 from allanjax.record.io.table import Format
 from allanjax.record.io.text import TEXT
@@ -14,7 +15,7 @@ from allanjax.record.validation import Source
 # Bytes of a name: file systems allow 255, with what is added to it.
 _LONGEST_NAME = 200
 #: Formats in the order in which they are tried; the last one is the fallback.
-FORMATS = (PARQUET, NPY, NPZ, HDF5, MAT, ROS, ULOG, DATAFLASH, TDMS, TEXT)
+FORMATS = (PARQUET, NPY, NPZ, HDF5, MAT, ROS, ULOG, DATAFLASH, TDMS, JSON, TEXT)
 
 
 def format_of(path: Path, source: Source) -> Format:

@@ -1,4 +1,4 @@
-"""The grammar of text: how its lines hold the cells of rows, as the first of them show it."""
+"""The grammar of text: how its lines hold the cells of rows, as its first lines show."""
 
 import functools
 import itertools
@@ -27,22 +27,28 @@ from allanjax.record.io.messages import Message, Numbered, messages_in, records_
 from allanjax.record.units import SENSORS, Sensor
 from allanjax.record.validation import Source
 
-#: Lines in which the grammar is looked for.
+#: So many lines at the start of a file show its grammar.
 FIRST_LINES = 1000
-# Excel's line that names the delimiter, and a line before the data that states the sample rate.
+# The line by which Excel names the delimiter, and the end of a line that states the sample rate.
 _SEP = re.compile(r"\"?sep=(.)\"?\s*", re.IGNORECASE)
 _RATE = re.compile(
     r"(?:(?:sampl\w*|update|output data)[\s_]*(?:rate|freq\w*)|\bodr)\W*(?:hz\W+)?"
     r"(\d+(?:\.\d+)?)\s*(k?)(?:hz|sps)?\W*$",
     re.IGNORECASE,
 )
+# Lines of files of noise coefficients, and the targets of `export` that such a file may be of.
+_COEFFICIENTS = {
+    r"^\s*\w+-axis:": "imu_utils",
+    r"noise_density\W*[:=]": "kalibr",
+    r"\b(?:gyr|acc)_n\b\W*[:=]": "vins-mono",
+}
 # A line that ends a table.
 _SECTION = re.compile(r"\s*(?:[\[<]/?[A-Za-z][\w .-]*[\]>]|\w*END\w*)\s*")
-# Lines of names and units; share of the first lines that are rows if each line is one.
+# A header has at most so many lines; and this share of the first lines must be rows if each line is one.
 _HEADER_LINES, _REGULAR = 4, 0.99
-# Lines of numbers with decimal commas, and possibly whole numbers.
+# A line of numbers with decimal commas, which may have whole numbers, too.
 _COMMA_NUMBER = r"[+-]?\d+(?:,\d+)?(?:[eE][+-]?\d+)?"
-_DECIMAL_COMMA = re.compile(rf"\s*{_COMMA_NUMBER}(?:[\s;]+{_COMMA_NUMBER})*\s*;?\s*")
+_DECIMAL_COMMA = re.compile(rf"\s*{_COMMA_NUMBER}(?:[\s;]+{_COMMA_NUMBER})*[\s;]*")
 _SENSORS: dict[Sensor, str] = {"gyro": "gyros", "accel": "accelerometers"}
 
 
@@ -56,7 +62,7 @@ class Grammar:
         labels: their labels, or None.
         delimiter: what separates cells; None for white space.
         decimal: decimal mark.
-        comment: mark at the start of comments.
+        comment: what begins a comment.
         numeric: columns with numbers in the first row.
         message: the shape of messages; None if a line is its cells.
         rate: sample rate [Hz] stated before the data.
@@ -85,7 +91,7 @@ class Grammar:
 
     @property
     def end(self) -> bytes:
-        """What is between two records, up to the first byte of the second."""
+        """What ends a record, with the first byte of the next one."""
         mark = self.message.mark if self.message else None
         return b"\n" if mark is None else b"\n" + (mark.encode() or b"\n")
 
@@ -107,9 +113,9 @@ class Grammar:
         return records_of(lines, self.message.mark if self.message else None)
 
     def row(self, text: str) -> str | None:
-        """Cells of a record as a line of a table, nan where it is damaged; None if it is no row."""
+        """A record as a line of a table, all nan if it is damaged; None if it is no row."""
         cells = self._cells(text) if self.message is None else self.message.row(text)
-        # A damaged row is a sample that is missing, which stamps tell if there are any.
+        # A damaged row is a missing sample; if there are stamps, these tell that it is missing.
         if cells is None or (not cells and any(recognise(x).role == "time" for x in self.labels or ())):
             return None
         return (self.delimiter or " ").join(cells or ["nan"] * self.fields)
@@ -125,7 +131,11 @@ class Grammar:
         return not (text.strip(" \r") if self.delimiter == "\t" else text.strip())
 
     def kind(self, text: str) -> str:
-        """What a record is that is no row: a comment, names once more, the end, known, or strange."""
+        """What a record is that is no row.
+
+        It is "known" (another message), "names" (the header again), "comment", "end" (of the table), or
+        "strange".
+        """
         if self.message is not None and self.message.is_other(text):
             return "known"
         cells = trimmed(split(without_mark(text.replace("\n", " ")), self.delimiter))
@@ -141,7 +151,7 @@ class Grammar:
         return text.partition(self.comment)[0]
 
     def _cells(self, text: str) -> list[str] | None:
-        """Cells of a line; none if it is damaged, None if it is something else."""
+        """The cells of a line: an empty list if it is damaged, None if it is something else."""
         if is_comment(text):
             return None
         cells = split(self._bare(text), self.delimiter)
@@ -151,6 +161,8 @@ class Grammar:
         # A delimiter within quotes separates nothing.
         cells = [f'"{cell}"' if self.delimiter and self.delimiter in cell else cell for cell in cells]
         missing = self.fields - len(cells)
+        if missing == 0 and any(recognise(self.labels[k]).role == "time" for k in words if self.labels):
+            return []
         if missing == 0:
             return cells if numbers & {*self.numeric} or not any(cells) else None
         if missing > 0:
@@ -159,7 +171,7 @@ class Grammar:
 
 
 def names_axes(text: str) -> bool:
-    """Whether a line has names of axes, and no numbers."""
+    """Whether a line has the name of an axis, and no number."""
     cells = split(text, delimiter_of(text))
     return len(cells) > 1 and not any(map(is_number, cells)) and any(map(is_axis, cells))
 
@@ -179,18 +191,17 @@ def grammar_of(texts: Sequence[str], file: str, source: Source) -> Grammar:
     if found is None:
         raise source.error(_without_rows(head, source.label))
     before = [text.strip() for text in texts[: found.start]]
-    for text in before:
-        if match := _RATE.search(text):
-            rate = float(match[1]) * (1e3 if match[2] else 1.0)
-            note = f"sample rate {rate:g} Hz from the line {text[:60]!r}"
-            found = replace(found, rate=rate, notes=(*found.notes, note))
-            break
+    stated = next(filter(None, map(_RATE.search, before)), None)
+    if stated is not None:
+        rate = float(stated[1]) * (1e3 if stated[2] else 1.0)
+        note = f"sample rate {rate:g} Hz from the line {stated.string[:60]!r}"
+        found = replace(found, rate=rate, notes=(*found.notes, note))
     _, row = next(found.records(head[found.start :]))
     return _of_device(found, {"head": "\n".join(before), "row": row, "file": file})
 
 
 def _without_rows(head: Sequence[Numbered], path: str) -> str:
-    """What the first lines have in place of rows of numbers."""
+    """What there is in place of rows of numbers, and what to do, in words."""
     shown = [(number, text) for number, text in head if text.strip()]
     number, text = shown[len(shown) // 2]
     looked = f"{len(head)} lines" if len(head) > 1 else "line"
@@ -198,8 +209,14 @@ def _without_rows(head: Sequence[Numbered], path: str) -> str:
         "write a line of names, such as time [s],gyro_x [deg/s],accel_x [g], and below it a row of numbers "
         "per sample"
     )
-    if re.match(r"\s*\[\s*\{", text):
-        remedy = f"write an object per line, with jq -c '.[]' '{path}' > imu.jsonl"
+    for pattern, target in _COEFFICIENTS.items():
+        if any(re.search(pattern, text) for _, text in shown):
+            other = "vins-mono" if target == "kalibr" else "kalibr"
+            remedy = (
+                "these are coefficients of noise and no samples; convert them, e.g. with allanjax export "
+                f"'{path}' --from {target} --to {other} (allanjax export --list has the names)"
+            )
+            break
     return f"no row of numbers in its first {looked}; line {number + 1} is {text.strip()[:80]!r}; {remedy}"
 
 
@@ -224,13 +241,13 @@ class _Line(NamedTuple):
 
     @property
     def numbers(self) -> int:
-        """How many of its cells are numbers; 0 if others have numbers within, beside something else."""
+        """How many of its cells are numbers; 0 if a cell has a number beside something else."""
         is_mixed = any(is_decorated(cell, self.delimiter) for cell in self.cells)
         return 0 if is_mixed else sum(map(is_number, self.cells))
 
 
 def _plain(head: Sequence[Numbered]) -> Grammar | None:
-    """Return the grammar of lines that are their cells; None if there is no row among them."""
+    """Return the grammar of lines that are cells between delimiters; None if none of them is a row."""
     head = [(number, text) for number, text in head if text.strip(" ")]
     has_commas = [_has_decimal_commas(text) for _, text in head]
     sep = _SEP.fullmatch(head[0][1])
@@ -264,22 +281,26 @@ def _has_decimal_commas(text: str) -> bool:
 
 
 def _first_row(lines: Sequence[_Line]) -> _Line | None:
-    """Return the first row: that below names of axes, or else of the most frequent size."""
+    """Return the first row: the one below names of axes, or else the first of the most frequent size."""
     for k, line in enumerate(lines):
         above = reversed(lines[max(k - _HEADER_LINES, 0) : k]) if line.numbers else ()
         for other in above:
             names = trimmed(split(other.text, line.delimiter))
             if any(map(is_number, names)):
                 break
-            # Names at the end may be without cells, if those of all rows are.
+            # The last names may have no cells if that is so in all rows.
             size = len(line.cells)
             is_short = size < len(names) and all(len(x.cells) == size for x in lines[k : k + 3])
             if any(map(is_axis, names)) and (fits(line.cells, len(names)) or is_short):
                 return line._replace(cells=line.cells[: len(names)])
-    lines = [line._replace(cells=trimmed(line.cells)) for line in lines]
-    rows = [line for line in lines if 0 < len(line.cells) <= 2 * line.numbers]
+    rows = [line for line in lines if 0 < len(trimmed(line.cells)) <= 2 * line.numbers]
+    if not rows:
+        return None
     sizes = Counter((line.delimiter, len(line.cells)) for line in rows)
-    return max(rows, key=lambda line: sizes[line.delimiter, len(line.cells)], default=None)
+    first = max(rows, key=lambda line: sizes[line.delimiter, len(line.cells)])
+    alike = [x for x in rows if (x.delimiter, len(x.cells)) == (first.delimiter, len(first.cells))]
+    # Columns at the end that are empty in all rows are none.
+    return first._replace(cells=first.cells[: max(len(trimmed(line.cells)) for line in alike)])
 
 
 def _is_regular(found: Grammar, texts: Sequence[str]) -> bool:

@@ -23,7 +23,7 @@ from allanjax.record.validation import MIN_SAMPLES, Source, check_length
 _GAP, _ABOUT = 1.5, 8
 # Largest rms jitter of the other intervals, over their mean.
 _MAX_JITTER = 0.2
-# Share of long intervals above which gaps are not told one by one.
+# If a larger share of the intervals is long, a message does not describe single gaps.
 _MANY_GAPS = 0.05
 # Distance from a whole multiple of the interval within which an interval is one; the least share of such
 # intervals; and the most intervals below half the usual one, per long one: a late stamp makes one of these.
@@ -32,14 +32,16 @@ _NEAR_WHOLE, _MOSTLY, _EARLY = 0.2, 0.95, 0.25
 _WITHIN = 0.5
 # Share of stamps that go back, below which the clock was set.
 _SET = 0.01
-# Fewest intervals unlike the usual one that show whether they come as regularly as by rounding.
-_SHOWING = 10
+# Fewest intervals unlike the usual one that show whether they come as regularly as by rounding; and the
+# standard deviation of the distances between them, over their mean, from which they come at random.
+_SHOWING, _AT_RANDOM = 10, 0.5
 # Resolution of stamps, in intervals, from which grids are sought by the line in the spectrum of the stamps;
 # steps in that spectrum; the power of a line, in that of chance; and stamps over which its phase is followed.
 _COARSE, _BINS, _LINE, _FOLLOWED, _SLACK = 0.15, 1 << 20, 50.0, 512, 1e-3
-# Deviations from an even grid are bounded if means over this many parts scatter less than single stamps do,
-# by this factor; a walk of the stamps would grow by more. The fewest stamps from which this can be told, and
-# the least deviation of a quarter of them, in intervals.
+# Stamps scatter about even times, and do not wander off as they would if samples were lost, if the mean
+# deviations from an even grid of so many parts of the record scatter less than this factor times those of
+# single stamps. The fewest stamps from which this can be told, and the least deviation of a quarter of them,
+# in intervals.
 _PARTS, _BOUNDED, _FEWEST, _SCATTER = 16, 0.5, 512, 0.1
 # Parts in which the interval is compared to find pieces of different rates, and the most pieces.
 _BLOCKS, _PIECES = 64, 5
@@ -119,6 +121,8 @@ class Stamps:
         if self._is_coarse():
             how = self.why_even()
             places = None if how else self._demodulated()
+            # Stamps that do not tell which samples are missing do not tell where to fill them in.
+            gaps = gaps and (places is not None or not self._beats())
         if places is not None:
             return self._with_lost(places, rate, gaps)
         found = self._even(rate, how) if how else self._stamped(rate, gaps)
@@ -137,6 +141,13 @@ class Stamps:
             return False
         unlike = np.count_nonzero(abs(intervals - typical) > 0.5 * self.step)
         return bool(self.step > _COARSE * np.mean(intervals) and unlike >= _SHOWING)
+
+    def _beats(self) -> bool:
+        """Return whether rounded intervals differ as regularly as rounding makes them, not as by loss."""
+        intervals = np.diff(self.seconds)
+        unlike = np.flatnonzero(abs(intervals - np.median(intervals)) > 0.5 * self.step)
+        spacings = np.diff(unlike)
+        return self._is_coarse() and bool(np.std(spacings) < _AT_RANDOM * np.mean(spacings))
 
     def _demodulated(self) -> Int[np.ndarray, " samples"] | None:
         """Return the places of samples on a grid some of whose stamps are missing, all rounded to steps.
@@ -208,7 +219,7 @@ class Stamps:
         if gaps:
             jitter = on_grid
         filled = on_grid <= _MAX_JITTER * regular and lost <= MOST_MISSING * (lost + len(times))
-        drawn = lost if filled else 0
+        drawn = lost if filled and not self._beats() else 0
         if jitter > _MAX_JITTER * regular or (np.mean(long) > _MANY_GAPS and not gaps):
             return self._error(self._irregular(long, lost, drawn, gaps), "jitter")
         if np.any(long) and not gaps:
@@ -270,7 +281,10 @@ class Stamps:
         """Return how many samples are missing if intervals are whole multiples of the usual one; else 0."""
         if self._is_coarse():
             places = self._demodulated()
-            return 0 if places is None else int(places[-1]) + 1 - len(places)
+            if places is not None:
+                return int(places[-1]) + 1 - len(places)
+            if self._beats():
+                return 0
         intervals = np.diff(self.seconds)
         typical = float(np.median(intervals))
         if not typical > 0.0:
@@ -331,17 +345,23 @@ class Stamps:
             raise self._error(f"{self._of_pieces(pieces)}{forced}", "rate")
         lost = 0 if self.why_even() else self._lost()
         if lost:
-            raise self._error(f"the samples are not evenly spaced: {self._missing(lost)}{forced}", "gaps")
+            omit = "omit time='uniform' (--time uniform)"
+            raise self._error(
+                f"the samples are not evenly spaced: {self._lack(lost)}; {omit}{forced}", "gaps"
+            )
+
+    def _lack(self, lost: int) -> str:
+        """Return that samples are missing, in words."""
+        every = lost + len(self.seconds)
+        interval = float(self.seconds[-1] - self.seconds[0]) / (every - 1)
+        return (
+            f"intervals are whole multiples of {_short(interval)}, so that {lost:,} of {every:,} samples "
+            f"({percent(lost / every)}) are missing"
+        )
 
     def _missing(self, lost: int) -> str:
         """Return that samples are missing, and what to do, in words."""
-        n = len(self.seconds)
-        share = lost / (lost + n)
-        interval = float(self.seconds[-1] - self.seconds[0]) / (n + lost - 1)
-        text = (
-            f"intervals are whole multiples of {_short(interval)}, so that {lost:,} of {lost + n:,} samples "
-            f"({percent(share)}) are missing"
-        )
+        text, share = self._lack(lost), lost / (lost + len(self.seconds))
         segment = "read the longest part without with gaps='segments' (--gaps segments)"
         if share > MOST_MISSING:
             return f"{text}; at most {percent(MOST_MISSING)} can be filled in: {segment}"
@@ -391,8 +411,8 @@ class Stamps:
         return beyond / (0.5 * span) if span > 0.0 else np.inf
 
     def _evenly(self) -> str:
-        """Return the remedy for evenly spaced samples with uneven stamps, if the mean rate is steady."""
-        if self._unsteadiness() > MAX_RATE_DIFFERENCE:
+        """Return the remedy for evenly spaced samples with uneven stamps; "" if these may show others."""
+        if self._beats() or self._unsteadiness() > MAX_RATE_DIFFERENCE:
             return ""
         how = "pass time='uniform' (--time uniform); "
         return f"if the samples are evenly spaced (at {1.0 / self._interval():.6g} Hz on average), {how}"
@@ -450,9 +470,11 @@ class Stamps:
                 f"stop={_before(end):.3f} (--start, --stop) or gaps='segments' (--gaps segments)"
             )
         if drawn:
-            remedies.append(
+            fill = (
                 f"fill in the {drawn} missing of {drawn + len(times)} samples with gaps='fill' (--gaps fill)"
             )
+            # Of many gaps the longest part between is short.
+            remedies.insert(0 if 2 * np.diff(edges)[longest] < len(times) else 1, fill)
         count = "the only gap" if len(gaps) == 1 else f"the first of {len(gaps)} gaps"
         return f"{text}, {count}; {', or '.join(remedies) or 'too few samples remain for a recording'}"
 

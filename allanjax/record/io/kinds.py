@@ -23,7 +23,7 @@ def of_one_kind(table: Table, columns: Columns, options: ReadOptions) -> tuple[T
         MixedRatesError: there are rows of several sensors, and none was chosen with `columns`.
     """
     labels = table.labels or _labels(columns)
-    stems = [split_unit(label)[0].casefold() for label in labels]
+    stems = [_last_of(label) for label in labels]
     words = [k for k, column in enumerate(columns) if not is_numeric(column) and column.dtype.kind != "M"]
     if not set(_AXES) <= set(stems) or not words:
         return table, columns
@@ -75,7 +75,12 @@ def _sensors(column: Shaped[np.ndarray, " rows"]) -> dict[str, Sensor]:
 
 def _renamed(label: str, sensor: str) -> str:
     """Return the label of an axis with the name of its sensor; others unchanged."""
-    stem, unit = split_unit(label)
-    if stem.casefold() not in _AXES:
+    axis, unit = _last_of(label), split_unit(label)[1]
+    if axis not in _AXES:
         return label
-    return f"{sensor}_{stem.casefold()}" + (f" [{unit}]" if unit else "")
+    return f"{sensor}_{axis}" + (f" [{unit}]" if unit else "")
+
+
+def _last_of(label: str) -> str:
+    """Return the last word of a label such as `values.x`."""
+    return split_unit(label)[0].casefold().rpartition(".")[2]

@@ -11,6 +11,7 @@ from jaxtyping import Shaped
 
 from allanjax.base.errors import UnitError
 from allanjax.record.columns import (
+    EXAMPLE,
     Axis,
     Column,
     axes_of,
@@ -76,7 +77,8 @@ class Layout:
         _check_is_recording(table, found, columns, clock)
         columns = distinct(columns, table.source)
         _check_all_used(table, columns, clock, first, options)
-        axes, axis_notes = axes_of(columns, table.units_with(options), table.source)
+        samples = [first[column.index] for column in columns]
+        axes, axis_notes = axes_of(columns, table.units_with(options), table.source, samples)
         used = in_clock | {column.index for column in columns}
         auxiliary = tuple(c for c in found if c.index not in used and _is_channel(c, first[c.index]))
         every = (*notes, *clock_notes, *_notes_on(columns), *axis_notes)
@@ -190,7 +192,9 @@ def _chosen(table: Table, count: int, columns: str | Sequence[str]) -> list[Colu
     names = [entry for entry in entries if entry not in _SKIP]
     repeated = _repeated(names)
     if repeated:
-        raise table.source.error(f"columns= names {', '.join(repeated)} more than once; name each once")
+        raise table.source.error(
+            f"columns= names {', '.join(repeated)} more than once; name each once in columns= (--columns)"
+        )
     if table.labels is not None:
         matches = [_match(table, name, len(entries) == count) for name in names]
         if len(names) == len(entries) and all(matches):
@@ -202,14 +206,14 @@ def _chosen(table: Table, count: int, columns: str | Sequence[str]) -> list[Colu
             hint = f" (did you mean {near[0]}?)" if near else ""
             raise table.source.error(
                 f"columns= (--columns) asks for {', '.join(unknown)}{hint}, but the file has "
-                f"{', '.join(table.labels)}; choose from these, or give one name per column in order, with - "
-                "to skip one"
+                f"{', '.join(table.labels)}; choose from these in columns= (--columns), or give one name per "
+                "column in order, with - to skip one"
             )
     if len(entries) != count:
         has = "no names" if table.labels is None else f"the names {', '.join(table.labels)}"
         raise table.source.error(
             f"columns= has {len(entries)} entries, but the file has {count} columns, with {has}; "
-            "list names of the header, or one entry per column, with - to skip one"
+            "list names of the header in columns= (--columns), or one entry per column, with - to skip one"
         )
     found = [c for c in _recognised(entries) if entries[c.index] not in _SKIP]
     # Without a unit from the user, that of the header applies.
@@ -248,7 +252,11 @@ def _match(table: Table, name: str, by_position: bool) -> tuple[int, ...]:
             if by_position:
                 return ()
             listed = ", ".join(repr(labels[i]) for i in found)
-            raise table.source.error(f"columns= names {name!r}, which matches {listed}; use the full name")
+            first = labels[found[0]]
+            raise table.source.error(
+                f"columns= names {name!r}, which matches {listed}; use the full name, such as "
+                f"columns='{first}' (--columns '{first}'), or name all columns in their order, - skips one"
+            )
         if found:
             return found
     return ()
@@ -320,9 +328,14 @@ def _check_is_recording(
             "read it with read_curve, or give --curve to characterize and compare"
         )
     if not axes:
+        # Samples usually come last, of two sensors or of one.
+        unknown = [column for column in found if column.role == "auxiliary"]
+        size = next((n for n in (6, 3) if len(unknown) >= n), len(unknown))
+        some = dict(zip(unknown[-size:], EXAMPLE[1:], strict=False)) if size else {}
+        names = ",".join("time" if column.role == "time" else some.get(column, "-") for column in found)
         raise table.source.error(
             f"no gyro or accelerometer column among {', '.join(column.label for column in found)}; "
-            "name the columns with columns= (--columns), e.g. time,gyro_x,gyro_y,gyro_z"
+            f"name the columns in their order, - skips one, such as columns='{names}' (--columns {names})"
         )
 
 
@@ -341,9 +354,9 @@ def _check_all_used(
                 f"name the columns with columns= (--columns), one entry per column (axes are now {read})"
             )
     if options.time_unit is not None and not clock:
+        named = ", or name their column with time= (--time)" if len(first) > len(axes) else ""
         raise table.source.error(
-            "time_unit= (--time-unit) is given, but no time stamps are read; omit it, or name their column "
-            "with time= (--time)"
+            f"time_unit= (--time-unit) is given, but no time stamps are read; omit it{named}"
         )
 
 

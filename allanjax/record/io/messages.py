@@ -1,7 +1,7 @@
-"""Messages in text: what loggers, terminals and drivers print for a sample, in a line or in several.
+"""Messages: what loggers, terminals and drivers print for each sample, on one line or on several.
 
-The shape of a message is its text with a mark in place of each number; messages of one shape are the rows of
-a table, and the words before a number name it.
+The shape of a message is its text with a placeholder for each number. Messages of the same shape are the rows
+of a table, and the words before a number name its column.
 """
 
 import functools
@@ -27,37 +27,38 @@ from allanjax.record.io.cells import (
     without_mark,
 )
 
-#: A line, or lines of a message, with the number of the first one from 0.
+#: The text of a line, or of a message of several lines, and the number of its first line, from 0.
 Numbered = tuple[int, str]
 
-# UNIX times in s, ms, µs and ns.
+# A UNIX time in s, ms, µs or ns, or a date.
 _DATED = re.compile(rf"1\d{{9}}(?:\.\d+|(?:\d{{3}}){{0,3}})|{TIME}")
-# Marks at the ends of messages that may differ, as those of the elements of a list; and text in quotes.
+# Punctuation at both ends of a message, which may differ from one to the next: the last element of a list has
+# no comma. And text in quotes, which may differ, too.
 _ENDS = r"[\s\[\](){},;]*"
 _QUOTED = re.compile(r'"[^"\0]*"(?=[,}\]])')
-# Roughly a number, a missing one or a word of bits, which is matched faster.
+# A coarse pattern, which is fast, for a number, a missing one, or a word of hexadecimal digits.
 _ROUGHLY = r"[-+]?\.?\d[-+.\w]*|(?i:nan|null|none|inf\w*|[\da-f]{8})"
-# A check sum, in hexadecimal digits, and marks at the start of messages that have one, or of comments.
+# A checksum at the end of a line, and the first characters of lines that have one, or are comments.
 _SUM, _MARKS = re.compile(r"\*([\da-fA-F]{2}|[\da-fA-F]{8})\s*$"), tuple("$#%!@/")
-# Marks after names, and marks after values.
+# Punctuation that follows a name, and punctuation that follows a value.
 _AFTER_NAME, _AFTER_VALUE = ":=({[", r"[,;|)}\]>\n]"
-# The words of a time without a name, and of the axes of a group.
+# The name that a time without one is given, and the names of the axes in a group of three.
 _TIMES, _XYZ = ("time",), ("x", "y", "z")
-# Shapes that are tried, the fewest messages of one, their share where several lines are one, and numbers if
-# none is named.
+# How many of the most frequent shapes are tried; how many messages a shape needs; what share of the messages
+# it needs where a message has several lines; and how many numbers it needs if none of them is an axis.
 _SHAPES, _FEWEST, _SHARE, _UNNAMED = 10, 3, 0.8, 3
 
 
 @dataclass(frozen=True)
 class Message:
-    """Messages of one shape, whose numbers are rows.
+    """Messages of one shape; each is a row.
 
     Attributes:
-        shape: the text with \\0 in place of numbers.
-        cells: which numbers are columns.
+        shape: the text, with \\0 for each number.
+        cells: which of the numbers are columns.
         others: shapes of other messages in the file, which are left out.
-        is_summed: whether messages end with a check sum.
-        mark: line between messages, or text at the start of their first lines; None if each is a line.
+        is_summed: whether messages end with a checksum.
+        mark: the line between two messages, or the text that begins each; None if a message is one line.
     """
 
     shape: str
@@ -68,8 +69,9 @@ class Message:
 
     @functools.cached_property
     def pattern(self) -> re.Pattern[str]:
-        """Pattern of a message, whose groups are the numbers."""
-        cell = rf"\s*({_ROUGHLY}|{TIME})\s*"
+        """Pattern of a message with a group for each number."""
+        # A number of a damaged message must not count as two.
+        cell = rf"\s*(?<![\d.])({_ROUGHLY}|{TIME})(?!\d)\s*"
         parts = {"\0": cell, "\1": r'[^"]*', " ": r"\s+"}
         whole = "".join(parts.get(c, c if c.isalnum() else rf"\s*{re.escape(c)}\s*") for c in self.shape)
         return re.compile(re.sub(r"(?:\\s\*)+", r"\\s*", rf"{_ENDS}{whole}{_ENDS}"))
@@ -80,8 +82,8 @@ class Message:
         return self.shape.partition("\0")[0]
 
     def row(self, text: str) -> tuple[str, ...] | None:
-        """Cells of a message; none if it is damaged, None if the text is something else."""
-        # Of several lines, the first ones may be of something else.
+        """The cells of a message: an empty tuple if it is damaged, None if the text is something else."""
+        # Lines of something else may come before the first line of a message of several lines.
         matches = self.pattern.fullmatch if self.mark is None else self.pattern.search
         match = matches(_SUM.sub("", text))
         if match and (not self.is_summed or _has_right_sum(text)):
@@ -89,7 +91,7 @@ class Message:
             return tuple(groups[k] for k in self.cells)
         if self.is_other(text):
             return None
-        # Where messages have check sums, there is nothing else.
+        # Where messages have checksums, all other text is a damaged message.
         is_part = self.is_summed or 2 * len(VALUE.findall(text)) >= self.pattern.groups > 2
         return () if is_part else None
 
@@ -102,7 +104,14 @@ class Message:
 
 
 class Found(NamedTuple):
-    """Messages found in the first lines: the first line, the labels if there are names, and an example."""
+    """Messages found in the first lines of a file.
+
+    Attributes:
+        start: number of the line with the first message.
+        message: their shape.
+        labels: labels of the columns, if any has a name.
+        example: the first message.
+    """
 
     start: int
     message: Message
@@ -116,14 +125,14 @@ class Found(NamedTuple):
 
 
 def messages_in(head: Sequence[Numbered]) -> Found | None:
-    """Return the messages with most axes, in lines or in groups of them, the most frequent ones of these.
+    """Return the messages that name the most axes, and of these the most frequent; None if there are none.
 
-    None if there are none with numbers.
+    A message may be a line, or several lines up to a mark.
     """
     best: Found | None = None
     for mark in (None, "---", "", *_openings(head)):
         records = list(records_of(head, mark))
-        # The last one of several lines may be cut.
+        # The last message of several lines may be cut off.
         records = records if mark is None else records[:-1]
         shapes = Counter(_shape(text) for _, text in records)
         usual = {shape for shape in shapes if shapes[shape] >= _FEWEST}
@@ -139,7 +148,7 @@ def messages_in(head: Sequence[Numbered]) -> Found | None:
 
 
 def _openings(head: Sequence[Numbered]) -> list[str]:
-    """Text before the number in the first of the lines that recur, which may begin a message of several."""
+    """Text before the first number of the first line that recurs; it may begin a message of several lines."""
     shapes = Counter(_shape(text) for _, text in head)
     for _, text in head:
         opening = VALUE.split(text)[0].rstrip()
@@ -149,7 +158,7 @@ def _openings(head: Sequence[Numbered]) -> list[str]:
 
 
 def records_of(lines: Iterable[Numbered], mark: str | None) -> Iterator[Numbered]:
-    """Yield records: the lines between two marks, or from one text at the start to the next; or each line."""
+    """Yield records: without a mark each line, else the lines between two marks, or from one to the next."""
     if mark is None:
         yield from lines
         return
@@ -167,14 +176,17 @@ def records_of(lines: Iterable[Numbered], mark: str | None) -> Iterator[Numbered
 
 
 def _shape(text: str) -> str:
-    """Text with \\0 in place of what varies, and white space only between words."""
+    """The shape of a text: \\0 for each number, and white space only between words."""
     shape = re.sub(r"\s+", " ", VALUE.sub("\0", _SUM.sub("", text)))
     shape = _QUOTED.sub('"\1"', re.sub(r" ?([^\w ]) ?", r"\1", shape))
     return re.sub(rf"^{_ENDS}|{_ENDS}$", "", shape)
 
 
 def _has_right_sum(text: str) -> bool:
-    """Whether a message has a check sum: one of two digits is the exclusive or of what is between $ and *."""
+    """Whether a message has a right checksum: two digits are the exclusive or of the bytes between $ and *.
+
+    Longer ones are not checked.
+    """
     end = _SUM.search(text)
     if end is None or len(end[1]) != 2:
         return end is not None
@@ -183,7 +195,7 @@ def _has_right_sum(text: str) -> bool:
 
 
 def _found(shape: str, examples: Sequence[Numbered], before: Sequence[str], mark: str | None) -> Found | None:
-    """Return messages of a shape; None if they are numbers and delimiters alone, or have too few numbers."""
+    """Return messages of a shape; None if it is but numbers and delimiters, or has too few numbers."""
     number, text = examples[0]
     columns = list(zip(*(VALUE.findall(_SUM.sub("", text)) for _, text in examples), strict=False))
     names = _labels_of(_SUM.sub("", text), before)
@@ -191,7 +203,7 @@ def _found(shape: str, examples: Sequence[Numbered], before: Sequence[str], mark
     has_axes = any(is_axis(name) for name in names if name)
     if not re.search(r"[^\s,;|]", VALUE.sub("", text)) or (numbers < _UNNAMED and not has_axes):
         return None
-    # Beside axes, numbers that are the same in all messages tell nothing, unless they have a name.
+    # Beside axes, a number without a name that is the same in all messages is no column.
     varies = [not has_axes or len(set(column)) > 1 for column in columns]
     cells = tuple(k for k, name in enumerate(names) if name or varies[k])
     labels = tuple(names[k] or f"column {k + 1}" for k in cells) if any(names) else None
@@ -202,7 +214,7 @@ def _found(shape: str, examples: Sequence[Numbered], before: Sequence[str], mark
 
 
 class _Value(NamedTuple):
-    """A number in a message: the words before it, its unit, and whether it goes on with a group."""
+    """A number in a message: the words that name it, its unit, and whether it continues a group."""
 
     words: tuple[str, ...]
     unit: str
@@ -228,12 +240,20 @@ def _labels_of(text: str, before: Sequence[str]) -> list[str | None]:
     # What follows the last number is but a unit.
     values.pop()
     names = [*_names_of(values)]
-    unnamed = len(list(itertools.takewhile(lambda name: name is None, reversed(names))))
+    # Where no number has the name of an axis, names such as that of a program say nothing.
+    has_axes = any(is_axis(name) for name in names if name)
+    says_nothing = (lambda name: name is None) if has_axes else _says_nothing
+    unnamed = len(list(itertools.takewhile(says_nothing, reversed(names))))
     if unnamed > 1:
         delimiter = delimiter_of("".join(pieces[-unnamed:-1]))
         header = next(filter(None, (_names_in(line, delimiter, unnamed) for line in reversed(before))), [])
         names[len(names) - len(header) :] = header
     return _with_units(names, values)
+
+
+def _says_nothing(name: str | None) -> bool:
+    """Whether a number has no name, or one that is neither an axis nor a time, such as that of a program."""
+    return name is None or recognise(name).role == "auxiliary"
 
 
 def _unit_before(piece: str) -> tuple[str, str]:
@@ -243,7 +263,7 @@ def _unit_before(piece: str) -> tuple[str, str]:
 
 
 def _words(piece: str) -> tuple[tuple[str, ...], str]:
-    """Return the words of the name before a number, from the outermost, and the unit in brackets if any."""
+    """Return the words that name a number, the outermost first, and the unit if one is there in brackets."""
     unit = next(filter(is_unit_name, re.findall(r"[\[(]([^\[\]()]*)[\])]", piece)), "")
     if unit:
         piece = re.sub(rf"[\[(]{re.escape(unit)}[\])]", "", piece)
@@ -254,19 +274,19 @@ def _words(piece: str) -> tuple[tuple[str, ...], str]:
         is_name = part.strip()[-1] in _AFTER_NAME
         named = [*named, part.strip()[:-1]] if is_name else []
     words = tuple(re.findall(r"[^\W\d][\w.]*", " ".join([*named, last])))
-    # Without a mark after it, only what is known is a name.
+    # Words without punctuation after them are a name only if it is a known one.
     is_known = not re.search(r"\w", last) or _known(words, "") or _known(words, "[0]")
     return (words if is_known else ()), unit
 
 
 def _known(words: Sequence[str], element: str) -> str | None:
-    """The name of an axis, a time or a counter in the fewest last words; None if it is none."""
+    """The fewest last words that name an axis, a time or a counter; None if there are none."""
     names = (" ".join(words[-n:]) + element for n in range(1, len(words) + 1))
     return next((name for name in names if recognise(name).role != "auxiliary"), None)
 
 
 def _names_of(values: Sequence[_Value]) -> Iterator[str | None]:
-    """Yield the name of each number; three numbers after one name are axes."""
+    """Yield the name of each number; three numbers after the name of a sensor are its axes."""
     k = 0
     while k < len(values):
         words = values[k].words
@@ -276,14 +296,14 @@ def _names_of(values: Sequence[_Value]) -> Iterator[str | None]:
         for place in range(size):
             element = f"[{place}]" if size > 1 else ""
             known = _known(words, element) if size in (1, len(_XYZ)) else None
-            # A letter says little without what is before it.
+            # A single letter needs the word before it.
             short = words if words and len(words[-1]) == 1 else words[-1:]
             yield known or (" ".join(short) + element if words else None)
         k += size
 
 
 def _with_units(names: Sequence[str | None], values: Sequence[_Value]) -> list[str | None]:
-    """Labels with the units of the numbers, or of another one in their group."""
+    """Labels with the unit of each number, or else that of another one in its group."""
     units = [value.unit for value in values]
     for k in range(1, len(values)):
         units[k] = units[k] or (units[k - 1] if values[k].follows else "")
@@ -297,7 +317,7 @@ def _with_units(names: Sequence[str | None], values: Sequence[_Value]) -> list[s
 
 
 def _names_in(line: str, delimiter: str | None, count: int) -> list[str]:
-    """Return the names that a line before the messages has for their last numbers; none if it has none."""
+    """Return names of the last numbers of messages from a line before them; an empty list if it has none."""
     cells = trimmed(split(re.sub(r"\*\w+\s*$", "", without_mark(line)), delimiter))[-count:]
     if cells and cells[0] and recognise(cells[0]).role == "auxiliary":
         cells[0] = cells[0].split()[-1]

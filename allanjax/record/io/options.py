@@ -71,7 +71,10 @@ class ReadOptions:
             if time is not None and not math.isfinite(time):
                 raise RecordingError(f"{name}= (--{name}) must be a time in s, not {time}")
         if self.gaps not in (None, *get_args(GapChoice)):
-            raise RecordingError(f"gaps= (--gaps) must be error, segments or fill, not {self.gaps!r}")
+            raise RecordingError(
+                f"gaps= (--gaps) is {self.gaps!r}, which is unknown; pass gaps='segments' (--gaps segments) "
+                "or gaps='fill' (--gaps fill)"
+            )
         if start is not None and stop is not None and start >= stop:
             raise RecordingError(
                 f"start= (--start) must be before stop= (--stop), and {start:g} s is not before {stop:g} s"

@@ -16,7 +16,7 @@ from allanjax.record.io.layout import Layout
 from allanjax.record.io.options import ReadOptions
 from allanjax.record.io.table import Columns, Table, as_float, is_numeric
 from allanjax.record.io.times import MAX_RATE_DIFFERENCE, Clock, Seconds
-from allanjax.record.validation import Source, check_length, check_rate
+from allanjax.record.validation import MIN_SAMPLES, Source, check_length, check_rate
 
 # Shares of rows: the least and the largest that are samples of a sensor that shares a table, and the share of
 # these (of all rows if two sensors alternate) at even intervals, to this part of the interval.
@@ -121,7 +121,7 @@ class Record:
             rate, jitter = grid.rate, grid.jitter
             notes.append(grid.note)
         if rate is None:
-            raise no_rate_error(table.source)
+            raise no_rate_error(table.source, layout)
         begun = None if times.begun is None else times.begun + float(part.seconds[0])
         lost = np.isnan(part.values) if options.gaps == "fill" else part.absent
         return cls(
@@ -163,7 +163,7 @@ class Times(NamedTuple):
         """Return the times of the rows in these columns of a table."""
         if not layout.clock:
             if rate is None:
-                raise no_rate_error(table.source)
+                raise no_rate_error(table.source, layout)
             return cls(np.arange(len(columns[0])) / rate, None, 0.0, None, ())
         stamps = layout.stamps(columns)
         clock = Clock.of(layout.clock, stamps, options.time_unit, rate, table.source)
@@ -185,7 +185,7 @@ def _part(
     rows = rows_of_times(seconds, options.start, options.stop)
     check_rows(rows, float(seconds[-1]), source)
     source = source.after(rows.start)
-    check_length(rows.stop - rows.start, source)
+    check_length(rows.stop - rows.start, source, n >= MIN_SAMPLES)
     if rows != slice(0, n):
         notes.append(f"samples {rows.start:,} to {rows.stop - 1:,} of {n:,} read")
     # Each axis is contiguous in memory, since most of the work is axis by axis.
@@ -305,20 +305,19 @@ def _on(grid: Grid, part: Rows) -> Rows:
     return part._replace(values=values, auxiliary=auxiliary)
 
 
-def no_rate_error(source: Source) -> RecordingError:
+def no_rate_error(source: Source, layout: Layout) -> RecordingError:
     """Return the RecordingError for samples without a rate and without time stamps."""
-    return source.error(
-        "no sample rate; pass rate= in Hz (--rate), or name a column of time stamps with time= (--time) "
-        "or in the header, e.g. `time [s]`"
-    )
+    others = ", ".join(column.label for column in layout.auxiliary)
+    stamps = f"if one of {others} has time stamps, name it with time= (--time), or " if others else ""
+    return source.error(f"no sample rate; pass rate= in Hz (--rate); {stamps}add a column `time [s]`")
 
 
 def check_rows(rows: slice, duration: float, source: Source) -> None:
     """Raise `RecordingError` if no rows remain of a recording that lasts `duration` [s]."""
     if rows.start == rows.stop:
         raise source.error(
-            f"start= and stop= (--start, --stop) leave no sample of its {duration:.6g} s; give times within "
-            "the record"
+            f"start= and stop= (--start, --stop) leave no sample of its {duration:.6g} s; pass times within "
+            "it as start= and stop= (--start, --stop)"
         )
 
 

@@ -284,8 +284,8 @@ class _Reader:
                 raise
             return None
         columns = [frame[name].to_numpy() for name in frame.columns]
-        # A delimiter at the end of every line adds an empty column.
-        if len(columns) == grammar.fields + 1 and frame[grammar.fields].isna().all():
+        # Delimiters at the end of every line add empty columns.
+        while len(columns) > grammar.fields and frame[len(columns) - 1].isna().all():
             columns.pop()
         if as_it_is:
             return tuple(columns)

@@ -163,7 +163,8 @@ class Clock:
         if values.dtype.kind == "O":
             import pandas as pd
 
-            parsed = pd.to_datetime(pd.Series(values), format=self.format, utc=True, errors="coerce")
+            texts = pd.Series(values).str.replace(",", ".")
+            parsed = pd.to_datetime(texts, format=self.format, utc=True, errors="coerce")
             dates = parsed.dt.tz_localize(None).to_numpy(dtype="datetime64[ns]")
         self._check(np.isnat(dates), values, source)
         return dates.astype("datetime64[ns]")
@@ -205,6 +206,7 @@ def _date_format(text: str) -> str:
     import pandas as pd
     from pandas.tseries.api import guess_datetime_format
 
+    text = text.replace(",", ".")
     try:
         float(text)
     except ValueError:

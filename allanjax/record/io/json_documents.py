@@ -1,0 +1,80 @@
+"""Reader of JSON: an array of samples, arrays by name, or samples that name their sensor; in any nesting."""
+
+import json
+import re
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from allanjax.record.io.arrays import from_named
+from allanjax.record.io.table import Format, Table, damage_reported
+from allanjax.record.io.text import open_text
+from allanjax.record.validation import Source
+
+# A document begins with an array of objects, or with an object. Of objects in lines, which are text, only
+# those are read here that name their sensor.
+_ARRAY = re.compile(rb"(?:\xef\xbb\xbf)?\s*\[\s*\{")
+_OBJECT, _NEXT = re.compile(rb'(?:\xef\xbb\xbf)?\s*\{\s*"'), re.compile(rb"\}\s*\n\s*\{")
+_SENSOR = re.compile(rb':\s*"\w*(?:gyr|acc)\w*"', re.IGNORECASE)
+
+
+def _is_json(magic: bytes) -> bool:
+    """Return whether a file with these first bytes is read here."""
+    is_object = _OBJECT.match(magic) and (not _NEXT.search(magic) or _SENSOR.search(magic))
+    return bool(_ARRAY.match(magic) or is_object)
+
+
+def open_json(path: Path, source: Source) -> Table:
+    """Return the table of a JSON document; text that is none, or is cut off, is read as other text."""
+    content = path.read_bytes()
+    try:
+        document = json.loads(content)
+    except ValueError:
+        try:
+            document = [json.loads(line) for line in content.splitlines() if line.strip()]
+        except ValueError:
+            return open_text(path, source)
+    import pandas as pd
+
+    with damage_reported(source, "JSON", "write an object per sample"):
+        records = _records(document)
+        if not records:
+            return from_named({name: np.asarray(x) for name, x in _flat(document, False)}, source)
+        frame = pd.DataFrame([dict(_flat(record, True)) for record in records])
+        columns = tuple(_numbers(frame[label]) for label in frame)
+        return Table.of(columns, tuple(map(str, frame)), source)
+
+
+def _records(value: Any) -> Sequence[dict[str, Any]]:
+    """Return the longest array of objects in a document; an empty one if there is none."""
+    if isinstance(value, list) and value and all(isinstance(item, dict) for item in value):
+        return value
+    inner = value.values() if isinstance(value, dict) else ()
+    return max(map(_records, inner), key=len, default=())
+
+
+def _flat(value: Any, is_record: bool, name: str = "") -> Iterator[tuple[str, Any]]:
+    """Yield values with their names; elements of arrays in a record are values."""
+    if isinstance(value, dict):
+        for key, item in value.items():
+            yield from _flat(item, is_record, f"{name}.{key}" if name else key)
+    elif isinstance(value, list) and is_record:
+        for k, item in enumerate(value):
+            yield from _flat(item, True, f"{name}[{k}]")
+    else:
+        yield name, value
+
+
+def _numbers(column: Any) -> np.ndarray:
+    """Return a column as numbers, which may be in quotes; other ones unchanged."""
+    import pandas as pd
+
+    try:
+        return np.asarray(pd.to_numeric(column))
+    except (ValueError, TypeError):
+        return np.asarray(column, dtype=object)
+
+
+JSON = Format("JSON", _is_json, open_json)
