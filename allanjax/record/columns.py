@@ -231,6 +231,11 @@ class DeadAxis:
     axis: Axis
     reason: str
 
+    @property
+    def note(self) -> str:
+        """A note that it was left out."""
+        return f"{self.axis.name} left out: {self.reason}"
+
     @classmethod
     def of(cls, axis: Axis, value: float) -> "DeadAxis":
         """Return the dead axis with this constant value [its own unit]; nan if it has no numbers."""

@@ -289,7 +289,7 @@ def test_real_files():
     assert aj.read(DATA / "sparkfun_razor.bag").n == 2144
     for name, (rate, close, stretch) in REAL.items():
         if stretch:
-            refused(DATA / name, "start={start:.3f}, stop={stop:.3f}".format(**stretch))
+            refused(DATA / name, "start={start:.3f} (--start) and stop={stop:.3f} (--stop)".format(**stretch))
         still = aj.read(DATA / name, **stretch)
         assert still.rate == pytest.approx(rate, abs=close)
         assert np.linalg.norm(still[SIX].values[:, 3:].mean(axis=0)) == pytest.approx(9.8, abs=0.3), name

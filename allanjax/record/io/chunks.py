@@ -19,8 +19,7 @@ from allanjax.record.io.layout import Layout
 from allanjax.record.io.options import ReadOptions
 from allanjax.record.io.record import (
     Rows,
-    check_rows,
-    no_rate_error,
+    notes_on_part,
     own_rows,
     rows_of_times,
     stated_rate,
@@ -29,7 +28,6 @@ from allanjax.record.io.table import Columns, Table, as_float, is_numeric
 from allanjax.record.io.times import IGNORE, MAX_RATE_DIFFERENCE, Clock, Seconds
 from allanjax.record.units import Sensor
 from allanjax.record.validation import (
-    MIN_SAMPLES,
     Source,
     bad_cells,
     check_finite,
@@ -178,13 +176,12 @@ def chunks_of(table: Table, name: str, options: ReadOptions, chunk: int) -> Chun
     if of_one_kind(table, first, options)[0] is not table:
         raise source.error("rows of several kinds are read only by read() (without --stream)")
     layout = Layout.of(table, first, options)
-    rate, notes = stated_rate(table, options.rate)
+    rate, notes = stated_rate(table, layout, options.rate)
     part = _PartOfFile(table, layout, None, options.start, options.stop, chunk)
     if layout.clock:
         found = _timed(part, layout.stamps(first), first, rate, options)
-    elif rate is None:
-        raise no_rate_error(source, layout)
     else:
+        assert rate is not None
         found = _counted(part, rate)
     if layout.auxiliary:
         notes += (f"not read: {', '.join(column.name for column in layout.auxiliary)}",)
@@ -204,14 +201,11 @@ class _Opened:
 
 def _counted(part: "_PartOfFile", rate: float) -> _Opened:
     """Open samples without time stamps."""
-    n, source = part.table.n, part.table.source
+    n = part.table.n
     if n is None:
         return _Opened(part, rate, (), None)
     rows = rows_between(n, rate, part.start, part.stop)
-    check_rows(rows, n / rate, source)
-    check_length(rows.stop - rows.start, source, n >= MIN_SAMPLES)
-    whole = rows == slice(0, n)
-    notes = () if whole else (f"samples {rows.start:,} to {rows.stop - 1:,} of {n:,} read",)
+    notes = notes_on_part(rows, n, n / rate, part.table.source)
     return _Opened(part, rate, notes, rows.stop - rows.start)
 
 
@@ -306,8 +300,8 @@ class _PartOfFile:
 
     def _check_rate_kept(self, times: Seconds, source: Source) -> None:
         """Raise RecordingError if later times are unusable or have another rate than the first."""
-        assert self.clock is not None
-        assert self.stamped is not None
+        assert self.clock
+        assert self.stamped
         label = self.clock.label
         later = Stamps(times, self.step, label, source, more=True).grid(
             None, gaps=False, uniform=False, force=False

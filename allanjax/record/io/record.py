@@ -7,11 +7,11 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float
 
-from allanjax.base.errors import MixedRatesError, RecordingError
+from allanjax.base.errors import MixedRatesError
 from allanjax.record.columns import Column
 from allanjax.record.completion import Gap, on_grid, segments_of, without_repeats
 from allanjax.record.io.absent import without_samples
-from allanjax.record.io.grid import Grid, Stamps, after_gaps
+from allanjax.record.io.grid import Stamps, after_gaps
 from allanjax.record.io.layout import Layout
 from allanjax.record.io.options import ReadOptions
 from allanjax.record.io.table import Columns, Table, as_float, is_numeric
@@ -44,10 +44,12 @@ class Rows(NamedTuple):
     absent: Which
 
     def taken(self, rows: slice | Bool[np.ndarray, " samples"]) -> "Rows":
-        """Return some of the rows."""
+        """Return some of the rows; RecordingError if they are too few for a recording."""
         auxiliary = {name: column[rows] for name, column in self.auxiliary.items()}
-        source = self.source.after(rows.start or 0) if isinstance(rows, slice) else self.source.at(rows)
-        return Rows(self.values[rows], auxiliary, self.seconds[rows], source, self.absent[rows])
+        source = self.source.after(rows.start) if isinstance(rows, slice) else self.source.at(rows)
+        values = self.values[rows]
+        check_length(len(values), source)
+        return Rows(values, auxiliary, self.seconds[rows], source, self.absent[rows])
 
     @property
     def interval(self) -> float:
@@ -92,7 +94,7 @@ class Record:
         Raises:
             RecordingError: values or times that are no numbers, too few samples, or times that are not even.
         """
-        rate, rate_notes = stated_rate(table, options.rate)
+        rate, rate_notes = stated_rate(table, layout, options.rate)
         times = Times.of(table, layout, columns, rate, options)
         part, part_notes = _part(table, layout, columns, times.seconds, options)
         notes = [*rate_notes, *times.notes, *part_notes]
@@ -102,7 +104,7 @@ class Record:
             part, own_notes = _own(part, layout, options)
             notes += own_notes
         stamps = times.of_rows(part)
-        even = stamps is None or options.uniform or bool(options.allows_gaps and stamps.why_even())
+        even = stamps is None or options.uniform or bool(options.allows_gaps and stamps.why_even)
         others: tuple[Rows, ...] = ()
         gaps: tuple[Gap, ...] | None = None if stamps is None or options.uniform else ()
         if options.gaps == "segments":
@@ -117,11 +119,11 @@ class Record:
                 uniform=options.uniform,
                 force=options.force,
             )
-            part = _on(grid, part)
+            values, auxiliary = on_grid(part.values, part.auxiliary, grid.places)
+            part = part._replace(values=values, auxiliary=auxiliary)
             rate, jitter = grid.rate, grid.jitter
             notes.append(grid.note)
-        if rate is None:
-            raise no_rate_error(table.source, layout)
+        assert rate is not None
         begun = None if times.begun is None else times.begun + float(part.seconds[0])
         lost = np.isnan(part.values) if options.gaps == "fill" else part.absent
         return cls(
@@ -162,8 +164,7 @@ class Times(NamedTuple):
     ) -> "Times":
         """Return the times of the rows in these columns of a table."""
         if not layout.clock:
-            if rate is None:
-                raise no_rate_error(table.source, layout)
+            assert rate is not None
             return cls(np.arange(len(columns[0])) / rate, None, 0.0, None, ())
         stamps = layout.stamps(columns)
         clock = Clock.of(layout.clock, stamps, options.time_unit, rate, table.source)
@@ -181,13 +182,9 @@ def _part(
     table: Table, layout: Layout, columns: Columns, seconds: Seconds, options: ReadOptions
 ) -> tuple[Rows, list[str]]:
     """Return the rows from start to stop, as numbers, and notes."""
-    n, source, notes = len(seconds), table.source, []
     rows = rows_of_times(seconds, options.start, options.stop)
-    check_rows(rows, float(seconds[-1]), source)
-    source = source.after(rows.start)
-    check_length(rows.stop - rows.start, source, n >= MIN_SAMPLES)
-    if rows != slice(0, n):
-        notes.append(f"samples {rows.start:,} to {rows.stop - 1:,} of {n:,} read")
+    notes = [*notes_on_part(rows, len(seconds), float(seconds[-1]), table.source)]
+    source = table.source.after(rows.start)
     # Each axis is contiguous in memory, since most of the work is axis by axis.
     axes = [as_float(columns[c.index][rows], c.label, source, options.allows_gaps) for c in layout.columns]
     auxiliary = {}
@@ -207,7 +204,6 @@ def _without_absent(part: Rows, layout: Layout) -> tuple[Rows, tuple[str, ...]]:
         return part._replace(values=found.values), found.notes
     values = np.where(found.at, np.nan, found.values)
     part = part._replace(values=values, absent=found.at).taken(found.ends)
-    check_length(len(part.values), part.source)
     cut = len(values) - len(part.values)
     if not cut:
         return part, found.notes
@@ -239,9 +235,7 @@ def _own(part: Rows, layout: Layout, options: ReadOptions) -> tuple[Rows, list[s
     if not own.all():
         notes.append(f"{np.count_nonzero(~own)} rows that repeat the previous values are left out")
     kept[kept] = own
-    found = part if kept.all() else part.taken(kept)
-    check_length(len(found.values), found.source)
-    return found, notes
+    return part if kept.all() else part.taken(kept), notes
 
 
 def own_rows(part: Rows, columns: Sequence[Column]) -> Bool[np.ndarray, " samples"]:
@@ -289,44 +283,47 @@ def _segments(part: Rows, even: bool) -> tuple[Rows, tuple[Rows, ...], tuple[Gap
     n = len(part.values)
     segments = segments_of(part.values, np.zeros(n, bool) if even else after_gaps(part.seconds))
     longest = part.taken(segments.longest)
-    check_length(len(longest.values), longest.source)
-    others = [part.taken(rows) for rows in segments.others]
-    same = [abs(other.interval / longest.interval - 1.0) < MAX_RATE_DIFFERENCE for other in others]
-    kept = [rows for rows, agrees in zip(segments.others, same, strict=True) if agrees]
-    segments = segments._replace(others=tuple(kept))
+    alike = []
+    for rows in segments.others:
+        if abs(part.taken(rows).interval / longest.interval - 1.0) < MAX_RATE_DIFFERENCE:
+            alike.append(rows)
+    segments = segments._replace(others=tuple(alike))
     gaps = segments.gaps(part.seconds, 1.0 / longest.interval)
-    used = tuple(other for other, agrees in zip(others, same, strict=True) if agrees)
-    return longest, used, gaps, segments.notes(n)
+    return longest, tuple(map(part.taken, alike)), gaps, segments.notes(n)
 
 
-def _on(grid: Grid, part: Rows) -> Rows:
-    """Return the samples on their grid, nan where one is missing."""
-    values, auxiliary = on_grid(part.values, part.auxiliary, grid.places)
-    return part._replace(values=values, auxiliary=auxiliary)
+def notes_on_part(rows: slice, n: int, duration: float, source: Source) -> tuple[str, ...]:
+    """Return a note on the rows that are read of n, if these are not all.
 
-
-def no_rate_error(source: Source, layout: Layout) -> RecordingError:
-    """Return the RecordingError for samples without a rate and without time stamps."""
-    others = ", ".join(column.label for column in layout.auxiliary)
-    stamps = f"if one of {others} has time stamps, name it with time= (--time), or " if others else ""
-    return source.error(f"no sample rate; pass rate= in Hz (--rate); {stamps}add a column `time [s]`")
-
-
-def check_rows(rows: slice, duration: float, source: Source) -> None:
-    """Raise `RecordingError` if no rows remain of a recording that lasts `duration` [s]."""
+    Raises:
+        RecordingError: none or too few of the n rows, which last `duration` [s].
+    """
     if rows.start == rows.stop:
         raise source.error(
             f"start= and stop= (--start, --stop) leave no sample of its {duration:.6g} s; pass times within "
             "it as start= and stop= (--start, --stop)"
         )
+    check_length(rows.stop - rows.start, source, n >= MIN_SAMPLES)
+    if rows == slice(0, n):
+        return ()
+    return (f"samples {rows.start:,} to {rows.stop - 1:,} of {n:,} read",)
 
 
-def stated_rate(table: Table, given: float | None) -> tuple[float | None, tuple[str, ...]]:
-    """Return the given sample rate [Hz], with a note if the file states another; else that of the file."""
-    if given is None:
-        return None if table.rate is None else check_rate(table.rate, table.source), ()
-    rate = check_rate(given, table.source)
-    if table.rate is None or abs(table.rate / rate - 1.0) <= MAX_RATE_DIFFERENCE:
+def stated_rate(table: Table, layout: Layout, given: float | None) -> tuple[float | None, tuple[str, ...]]:
+    """Return the given sample rate [Hz], with a note if the file states another; else that of the file.
+
+    Raises:
+        RecordingError: there is neither a rate nor a clock.
+    """
+    found = table.rate if given is None else given
+    if found is None and not layout.clock:
+        others = ", ".join(column.label for column in layout.auxiliary)
+        stamps = f"if one of {others} has time stamps, name it with time= (--time), or " if others else ""
+        raise table.source.error(
+            f"no sample rate; pass rate= in Hz (--rate); {stamps}add a column `time [s]`"
+        )
+    rate = None if found is None else check_rate(found, table.source)
+    if rate is None or table.rate is None or abs(table.rate / rate - 1.0) <= MAX_RATE_DIFFERENCE:
         return rate, ()
     return rate, (f"sample rate {rate:g} Hz as given, although the file states {table.rate:g} Hz",)
 
