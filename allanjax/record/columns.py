@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, ClassVar, Literal, Self, cast
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from allanjax.base.earth import STANDARD_GRAVITY
 from allanjax.base.errors import AllanjaxError, UnitError
@@ -56,6 +56,7 @@ _ACCURACY = re.compile(r"(?!imu|sensor|lin|[xyz]_)[a-z]+_acc")
 _PROCESSED = re.compile(r"_(?:cal|calibrated|uncal|uncalibrated|raw|comp|compensated)$")
 # Element of an array: `gyro_rad[0]`, or counted from 1 as in MATLAB, `gyro(1)`.
 _ELEMENTS = {"[0]": "_x", "[1]": "_y", "[2]": "_z", "(1)": "_x", "(2)": "_y", "(3)": "_z"}
+_ELEMENT = re.compile(r"(?:\[[012]\]|\([123]\))$")
 
 # Patterns of units within a name, as in `gyro_x_dps`, `gyro_rad_x`; PX4's gyro_rad is in rad/s.
 _UNIT_SUFFIXES = {
@@ -124,14 +125,13 @@ def recognise(label: str) -> Column:
     """Recognise a column by its label, e.g. `gyro_x [deg/s]`, `field.linear_acceleration.z`, `%time`."""
     label = harmless(label)
     stem, unit = split_unit(label)
-    element = next((end for end in _ELEMENTS if stem.endswith(end)), None)
-    words = _words(stem if element is None else stem.removesuffix(element) + _ELEMENTS[element])
-    words = _PROCESSED.sub("", words)
-    axis = None
+    words = _PROCESSED.sub("", _words(_ELEMENT.sub(lambda end: _ELEMENTS[end[0]], stem)))
     for suffix_unit, suffixes in _UNIT_SUFFIXES.items() if unit is None else ():
-        if match := re.fullmatch(rf"(.+)_(?:{suffixes})(_[xyz])?", words):
-            axis = axis or _axis(label, match[1] + (match[2] or ""), suffix_unit)
-    axis = axis or _axis(label, words, unit)
+        match = re.fullmatch(rf"(.+)_(?:{suffixes})(_[xyz]|)", words)
+        axis = match and _axis(label, match[1] + match[2], suffix_unit)
+        if axis:
+            return axis
+    axis = _axis(label, words, unit)
     return axis or _time(label, stem, words, unit) or Column(label, "auxiliary", stem, unit=unit)
 
 
@@ -201,7 +201,9 @@ def _time(label: str, stem: str, words: str, unit: str | None) -> Column | None:
     if _COUNTER.fullmatch(words):
         return Column(label, "counter", stem)
     suffix, part = _TIME_SUFFIX.fullmatch(words), _TIME_PART.fullmatch(words)
-    time_part = None if part is None else (part[1], "ns" if part[2].startswith("n") else "s")
+    time_part = None
+    if part is not None:
+        time_part = part[1], "ns" if part[2].startswith("n") else "s"
     if suffix is not None and _TIME.fullmatch(suffix[1]):
         return Column(label, "time", stem, unit=unit or suffix[2], time_part=time_part)
     if time_part is not None:
@@ -392,6 +394,12 @@ def scales_of(axes: Sequence[Axis], rate: float) -> Float[np.ndarray, " axes"]:
     """Factor of each axis from its own unit to the SI rate, at a sample rate [Hz]."""
     units = [parse_sample_unit(axis.unit, axis.sensor) for axis in axes]
     return np.array([unit.scale * (rate if unit.quantity == "increment" else 1.0) for unit in units])
+
+
+def axes_by_sensor(columns: Sequence[Column]) -> dict[Sensor | None, Bool[np.ndarray, " axes"]]:
+    """Return which columns are of each sensor."""
+    sensors = [column.sensor for column in columns]
+    return {sensor: np.array([other == sensor for other in sensors]) for sensor in sensors}
 
 
 #: Names of columns in a message that asks for them.

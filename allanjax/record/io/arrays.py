@@ -79,10 +79,10 @@ def read_npz(path: Path, source: Source) -> Table:
                     npy = np.lib.format
                     old = npy.read_magic(stream) == (1, 0)
                     read_header = npy.read_array_header_1_0 if old else npy.read_array_header_2_0
-                    shape, _, dtype = read_header(stream)
+                    header = read_header(stream)
                 size = member.file_size
-                if math.prod(shape) * dtype.itemsize > size:
-                    claim = f"{member.filename!r} claims the shape {shape} but has {size} bytes"
+                if math.prod(header[0]) * header[2].itemsize > size:
+                    claim = f"{member.filename!r} claims the shape {header[0]} but has {size} bytes"
                     raise source.error(f"{claim}; save it again")
         with np.load(path, allow_pickle=False) as arrays:
             named = {name: arrays[name] for name in arrays.files}
@@ -339,8 +339,8 @@ def read_tdms(path: Path, source: Source) -> Table:
                 if len(channel):
                     arrays[label] = channel[:]
                     intervals.add(float(channel.properties.get("wf_increment", 0.0)))
-    if len(intervals) == 1 and (interval := intervals.pop()) > 0.0:
-        arrays["dt"] = np.array(interval)
+    if len(intervals) == 1 and min(intervals) > 0.0:
+        arrays["dt"] = np.array(intervals.pop())
     table = from_named(arrays, source)
     notes = [f"the file is damaged: {warning}" for warning in damage[:1]]
     return replace(table, notes=(*notes, *table.notes))

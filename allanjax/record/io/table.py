@@ -14,11 +14,8 @@ from jaxtyping import Float, Shaped
 
 from allanjax.base.errors import AllanjaxError, RecordingError
 from allanjax.record.io.options import ReadOptions
-from allanjax.record.units import Sensor
-from allanjax.record.validation import (
-    Source,
-    bad_cells,
-)
+from allanjax.record.units import SENSORS, Sensor
+from allanjax.record.validation import Source, bad_cells
 
 #: Columns of equal length: numbers, datetime64, or objects where a text file has text.
 Columns: TypeAlias = tuple[Shaped[np.ndarray, " rows"], ...]
@@ -26,7 +23,8 @@ Columns: TypeAlias = tuple[Shaped[np.ndarray, " rows"], ...]
 CHOICES = ("topic", "instance")
 # Largest plausible compression factor of a file, that of deflate, the most common, is below 1033; and of one
 # that claims so many bytes, as nothing but constant numbers is compressed more.
-_EXPANSION, _LARGE, _EXPANSION_OF_LARGE = 1100, 1 << 30, 100
+_EXPANSION, _LARGE = 1100, 1 << 30
+_EXPANSION_OF_LARGE = 100
 
 
 @dataclass(frozen=True)
@@ -82,10 +80,8 @@ class Table:
 
     def units_with(self, options: ReadOptions) -> dict[Sensor, str | None]:
         """Return the unit of each sensor's samples: that of the options, else that of the format."""
-        given = options.units
-        return {
-            sensor: self.units.get(sensor) if given[sensor] is None else given[sensor] for sensor in given
-        }
+        given = {sensor: unit for sensor, unit in options.units.items() if unit is not None}
+        return {**dict.fromkeys(SENSORS), **self.units, **given}
 
     def no_rows(self) -> RecordingError:
         """Return the RecordingError for a file without rows."""

@@ -10,6 +10,7 @@ from jaxtyping import Float, Shaped
 
 from allanjax.base.errors import UnitError
 from allanjax.record.columns import Column
+from allanjax.record.io.cells import is_number
 from allanjax.record.io.table import as_float, is_numeric
 from allanjax.record.units import convert, same_unit
 from allanjax.record.validation import Source
@@ -107,10 +108,8 @@ class Clock:
             RecordingError: a stamp is missing, or is no time.
         """
         if self.kind == "pair":
-            whole, parts = (
-                _since_first(values, column.label, source)
-                for column, values in zip(self.columns, stamps, strict=True)
-            )
+            pairs = zip(self.columns, stamps, strict=True)
+            whole, parts = (_since_first(values, column.label, source) for column, values in pairs)
             return whole + 1e-9 * parts, ()
         values = stamps[0]
         if self.kind == "dates":
@@ -166,7 +165,7 @@ class Clock:
             texts = pd.Series(values).str.replace(",", ".")
             parsed = pd.to_datetime(texts, format=self.format, utc=True, errors="coerce")
             dates = parsed.dt.tz_localize(None).to_numpy(dtype="datetime64[ns]")
-        self._check(np.isnat(dates), values, source)
+        _check(np.isnat(dates), values, self.label, source)
         return dates.astype("datetime64[ns]")
 
     def _of_day(self, values: Shaped[np.ndarray, " samples"], source: Source) -> Seconds:
@@ -174,24 +173,23 @@ class Clock:
         import pandas as pd
 
         parts = pd.Series(values, dtype=object).astype(str).str.extract(_CLOCK)
-        self._check(parts[0].isna().to_numpy(), values, source)
+        _check(parts[0].isna().to_numpy(), values, self.label, source)
         seconds = parts[2].str.replace(",", ".").astype(float)
         half = parts[3].str[:1].str.lower()
         as_read = parts[0].astype(float)
         hours = np.where(half.isna(), as_read, as_read % 12 + 12.0 * (half == "p"))
         return np.asarray(hours * _HOUR + parts[1].astype(float) * 60.0 + seconds, float)
 
-    def _check(
-        self, bad: Shaped[np.ndarray, " samples"], values: Shaped[np.ndarray, " samples"], source: Source
-    ) -> None:
-        """Raise RecordingError if a stamp is no time."""
-        if bad.any():
-            first = int(np.argmax(bad))
-            cell = values[first]
-            has = "no time" if is_missing(cell) else f"{str(cell)[:40]!r}, which is no time,"
-            raise source.error(
-                f"column {self.label!r} has {has} at {source.locate(first)}; repair it, or {IGNORE}"
-            )
+
+def _check(
+    bad: Shaped[np.ndarray, " samples"], values: Shaped[np.ndarray, " samples"], label: str, source: Source
+) -> None:
+    """Raise RecordingError if a stamp is no time."""
+    if bad.any():
+        first = int(np.argmax(bad))
+        cell = values[first]
+        has = "no time" if is_missing(cell) else f"{str(cell)[:40]!r}, which is no time,"
+        raise source.error(f"column {label!r} has {has} at {source.locate(first)}; repair it, or {IGNORE}")
 
 
 def is_missing(cell: object) -> bool:
@@ -207,11 +205,7 @@ def _date_format(text: str) -> str:
     from pandas.tseries.api import guess_datetime_format
 
     text = text.replace(",", ".")
-    try:
-        float(text)
-    except ValueError:
-        pass
-    else:
+    if is_number(text):
         return ""
     if not pd.isna(pd.to_datetime(text, format="ISO8601", errors="coerce")):
         return "ISO8601"
@@ -224,11 +218,7 @@ def _since_first(values: Shaped[np.ndarray, " samples"], label: str, source: Sou
     if is_numeric(values) and values.dtype.kind in "iu":
         return _unwrapped((values - values[0]).astype(np.int64)).astype(float)
     numbers = as_float(values, label, source)
-    bad = np.flatnonzero(~np.isfinite(numbers))
-    if bad.size:
-        raise source.error(
-            f"column {label!r} has no time at {source.locate(int(bad[0]))}; repair it, or {IGNORE}"
-        )
+    _check(~np.isfinite(numbers), values, label, source)
     return _unwrapped(numbers - numbers[0])
 
 
