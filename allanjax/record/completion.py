@@ -97,15 +97,11 @@ def segments_of(
     if not first.size:
         return Segments((), slice(0, 0), ())
     # A segment ends where the next begins, or at the first incomplete sample after it.
-    ends = np.append(first[1:], len(values))
-    lengths = np.add.reduceat(whole.astype(int), first)
-    rows = [
-        slice(begin, min(begin + length, end))
-        for begin, length, end in zip(first.tolist(), lengths.tolist(), ends.tolist(), strict=True)
-    ]
-    order = sorted(range(len(rows)), key=lambda k: rows[k].start - rows[k].stop)
-    kept = [k for k in order[1:_MOST] if rows[k].stop - rows[k].start >= _LEAST]
-    return Segments(tuple(rows), rows[order[0]], tuple(rows[k] for k in sorted(kept)))
+    ends = first + np.add.reduceat(whole.astype(int), first)
+    rows = tuple(map(slice, first.tolist(), ends.tolist()))
+    order = np.argsort(first - ends, kind="stable").tolist()
+    kept = sorted(k for k in order[1:_MOST] if ends[k] - first[k] >= _LEAST)
+    return Segments(rows, rows[order[0]], tuple(rows[k] for k in kept))
 
 
 def on_grid(
@@ -155,7 +151,8 @@ def rows_between(samples: int, rate: float, start: float | None, stop: float | N
 MOST_MISSING = 0.3
 # Spectrum and samples in turn: at most so often, until the logarithm of the spectrum, averaged over so many
 # bands, changes by less than this. Behind a filter, the straight lines of the first turn are far above it.
-_TURNS, _BANDS, _SETTLED = 20, 64, 0.05
+_TURNS, _BANDS = 20, 64
+_SETTLED = 0.05
 # Frequencies on either side over which the spectrum is averaged: so many, and this share of the frequency.
 _FEWEST, _SHARE = 4, 0.01
 # Conjugate gradients: most steps, and the negligible part of d'C⁻¹d.

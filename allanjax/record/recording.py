@@ -303,10 +303,8 @@ class Recording(ByValue):
 
     def _repr_html_(self) -> str:
         own = self.own_values
-        rows = [
-            (axis.name, axis.sensor, axis.unit, f"{mean:.6g}", f"{std:.6g}")
-            for axis, mean, std in zip(self.axes, own.mean(axis=0), own.std(axis=0), strict=True)
-        ]
+        every = zip(self.axes, own.mean(axis=0), own.std(axis=0), strict=True)
+        rows = [(axis.name, axis.sensor, axis.unit, f"{mean:.6g}", f"{std:.6g}") for axis, mean, std in every]
         table = columns_from(("axis", "sensor", "unit", "mean", "std"), rows)
         return as_html(f"{self.name or 'Recording'}: {self._size}", [table], self.notes)
 

@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from allanjax.base.wording import plain
-from allanjax.record.columns import Column
+from allanjax.record.columns import Column, axes_by_sensor
 from allanjax.record.completion import runs_of
 from allanjax.record.units import Sensor
 
@@ -16,12 +16,14 @@ Which = Bool[np.ndarray, "samples axes"]
 
 # A marker is farther from all other samples than this many of their standard deviations and steps, occurs so
 # often, and no other sample is as much as half as far.
-_FAR, _LEAST, _HALF = 20.0, 3, 0.5
+_FAR, _LEAST = 20.0, 3
+_HALF = 0.5
 # Share of the rows with a marker in which other axes have it, too, if all are written at once.
 _AT_ONCE = 0.9
 # Probability that samples of a sensor that is alive are equal as often in a row, in a whole record; the
 # fewest that count; and the probability of equal neighbours that is assumed at least.
-_CHANCE, _SHORTEST, _EQUAL = 1e-9, 32, 1e-3
+_CHANCE, _SHORTEST = 1e-9, 32
+_EQUAL = 1e-3
 # Largest share of held samples within a record that are left out.
 _MOST_HELD = 0.05
 # Share of equal neighbours above which a sensor is slower than its rows.
@@ -79,17 +81,13 @@ def without_samples(values: Values, columns: Sequence[Column]) -> Absent:
             f"others: {what}; left out"
         )
     shifted = np.where(at, np.nan, values) if at.any() else values
-    axes_of: dict[Sensor | None, Bool[np.ndarray, " axes"]] = {}
-    for column in columns:
-        axes_of[column.sensor] = np.array([other.sensor == column.sensor for other in columns])
-    for sensor, own in axes_of.items():
+    for sensor, own in axes_by_sensor(columns).items():
         unwrapped, wrapped_notes = _unwrapped(shifted[:, own], sensor)
         if wrapped_notes:
             shifted = np.array(shifted)
             shifted[:, own] = unwrapped
             notes += wrapped_notes
-    for sensor, own in axes_of.items():
-        held = _held(shifted[:, own])
+        held = _held(unwrapped)
         if held.any():
             at[:, own] |= held[:, None]
             lengths = np.diff(runs_of(held))[:, 0]

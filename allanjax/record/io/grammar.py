@@ -182,7 +182,7 @@ def grammar_of(texts: Sequence[str], file: str, source: Source) -> Grammar:
     Raises:
         RecordingError: they have no row of numbers; the message says what they have.
     """
-    head = [(number, text) for number, text in enumerate(texts[:FIRST_LINES])]
+    head = list(enumerate(texts[:FIRST_LINES]))
     if not any(text.strip() for text in texts):
         raise source.error("the file is empty; give a file with one row of numbers per sample")
     found = _plain(head)
@@ -249,11 +249,11 @@ class _Line(NamedTuple):
 def _plain(head: Sequence[Numbered]) -> Grammar | None:
     """Return the grammar of lines that are cells between delimiters; None if none of them is a row."""
     head = [(number, text) for number, text in head if text.strip(" ")]
-    has_commas = [_has_decimal_commas(text) for _, text in head]
     sep = _SEP.fullmatch(head[0][1])
-    lines = []
-    for (number, text), commas in itertools.islice(zip(head, has_commas, strict=True), int(bool(sep)), None):
-        bare = text.replace(",", ".") if commas else text
+    lines, has_commas = [], False
+    for number, text in head[1:] if sep else head:
+        bare = text.replace(",", ".") if _has_decimal_commas(text) else text
+        has_commas |= bare != text
         delimiter = sep[1] if sep else delimiter_of(bare)
         lines.append(_Line(number, bare, delimiter, split(bare, delimiter)))
     first = _first_row([line for line in lines if not is_comment(line.text)])
@@ -265,10 +265,10 @@ def _plain(head: Sequence[Numbered]) -> Grammar | None:
         first.number,
         len(first.cells),
         delimiter=first.delimiter,
-        decimal="," if any(has_commas) else ".",
+        decimal="," if has_commas else ".",
         comment="%" if is_percent else "#",
         numeric=tuple(k for k, cell in enumerate(first.cells) if is_number(cell)),
-        notes=("numbers with decimal commas",) if any(has_commas) else (),
+        notes=("numbers with decimal commas",) if has_commas else (),
     )
     return _with_names(found, before)
 

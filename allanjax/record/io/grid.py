@@ -28,7 +28,8 @@ _MAX_JITTER = 0.2
 _MANY_GAPS = 0.05
 # Distance from a whole multiple of the interval within which an interval is one; the least share of such
 # intervals; and the most intervals below half the usual one, per long one: a late stamp makes one of these.
-_NEAR_WHOLE, _MOSTLY, _EARLY = 0.2, 0.95, 0.25
+_NEAR_WHOLE, _MOSTLY = 0.2, 0.95
+_EARLY = 0.25
 # Deviations from an even grid, in intervals, below which no sample can be missing.
 _WITHIN = 0.5
 # Share of stamps that go back, below which the clock was set.
@@ -38,12 +39,15 @@ _SET = 0.01
 _SHOWING, _AT_RANDOM = 10, 0.5
 # Resolution of stamps, in intervals, from which grids are sought by the line in the spectrum of the stamps;
 # steps in that spectrum; the power of a line, in that of chance; and stamps over which its phase is followed.
-_COARSE, _BINS, _LINE, _FOLLOWED, _SLACK = 0.15, 1 << 20, 50.0, 512, 1e-3
+_COARSE, _BINS = 0.15, 1 << 20
+_LINE, _FOLLOWED = 50.0, 512
+_SLACK = 1e-3
 # Stamps scatter about even times, and do not wander off as they would if samples were lost, if the mean
 # deviations from an even grid of so many parts of the record scatter less than this factor times those of
 # single stamps. The fewest stamps from which this can be told, and the least deviation of a quarter of them,
 # in intervals.
-_PARTS, _BOUNDED, _FEWEST, _SCATTER = 16, 0.5, 512, 0.1
+_PARTS, _BOUNDED = 16, 0.5
+_FEWEST, _SCATTER = 512, 0.1
 # Parts in which the interval is compared to find pieces of different rates, and the most pieces.
 _BLOCKS, _PIECES = 64, 5
 

@@ -44,15 +44,10 @@ def of_one_kind(table: Table, columns: Columns, options: ReadOptions) -> tuple[T
         named = [_renamed(label, str(chosen)) for label in labels]
         others = [i for i in range(len(columns)) if i != k]
         note = f"{rows.sum():,} of {len(rows):,} rows are of the {chosen}, as column {labels[k]!r} says"
-        part = Table.of(
-            tuple(columns[i][rows] for i in others),
-            tuple(named[i] for i in others),
-            table.source.at(rows),
-            table.rate,
-            (*table.notes, note),
-        )
-        part = replace(part, units=table.units)
-        return part, part.columns()
+        kept = tuple(columns[i][rows] for i in others)
+        labels, notes = tuple(named[i] for i in others), (*table.notes, note)
+        part = Table.of(kept, labels, table.source.at(rows), table.rate, notes)
+        return replace(part, units=table.units), kept
     return table, columns
 
 

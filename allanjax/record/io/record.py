@@ -8,8 +8,8 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from allanjax.base.errors import MixedRatesError
-from allanjax.record.columns import Column
-from allanjax.record.completion import Gap, on_grid, segments_of, without_repeats
+from allanjax.record.columns import Column, axes_by_sensor
+from allanjax.record.completion import Gap, Segments, on_grid, segments_of, without_repeats
 from allanjax.record.io.absent import without_samples
 from allanjax.record.io.grid import Stamps, after_gaps
 from allanjax.record.io.layout import Layout
@@ -20,7 +20,8 @@ from allanjax.record.validation import MIN_SAMPLES, Source, check_length, check_
 
 # Shares of rows: the least and the largest that are samples of a sensor that shares a table, and the share of
 # these (of all rows if two sensors alternate) at even intervals, to this part of the interval.
-_LEAST_FRESH, _MOST_FRESH, _REGULAR, _SAME = 0.02, 0.92, 0.95, 0.45
+_LEAST_FRESH, _MOST_FRESH = 0.02, 0.92
+_REGULAR, _SAME = 0.95, 0.45
 
 Values = Float[np.ndarray, "samples axes"]
 Which = Bool[np.ndarray, "samples axes"]
@@ -108,9 +109,11 @@ class Record:
         others: tuple[Rows, ...] = ()
         gaps: tuple[Gap, ...] | None = None if stamps is None or options.uniform else ()
         if options.gaps == "segments":
-            part, others, between, segment_notes = _segments(part, even)
-            gaps, notes = between or gaps, [*notes, *segment_notes]
-            stamps = times.of_rows(part)
+            longest, segments = _segments(part, even)
+            others = tuple(map(part.taken, segments.others))
+            gaps = segments.gaps(part.seconds, 1.0 / longest.interval) or gaps
+            notes += segments.notes(len(part.values))
+            part, stamps = longest, times.of_rows(longest)
         jitter = None
         if stamps is not None:
             grid = stamps.grid(
@@ -249,8 +252,7 @@ def own_rows(part: Rows, columns: Sequence[Column]) -> Bool[np.ndarray, " sample
     """
     values, seconds = part.values, part.seconds
     fresh = {}
-    for sensor in dict.fromkeys(column.sensor for column in columns):
-        of_sensor = [column.sensor == sensor for column in columns]
+    for sensor, of_sensor in axes_by_sensor(columns).items():
         own = values[:, of_sensor]
         changed = np.concatenate([[False], (own[1:] != own[:-1]).any(axis=1)])
         fresh[sensor] = changed & ~part.absent[:, of_sensor].all(axis=1)
@@ -278,18 +280,16 @@ def own_rows(part: Rows, columns: Sequence[Column]) -> Bool[np.ndarray, " sample
     raise MixedRatesError(str(error), tuple(map(str, fresh)))
 
 
-def _segments(part: Rows, even: bool) -> tuple[Rows, tuple[Rows, ...], tuple[Gap, ...], tuple[str, ...]]:
-    """Return the longest segment without missing samples, other segments, the gaps between, and notes."""
-    n = len(part.values)
-    segments = segments_of(part.values, np.zeros(n, bool) if even else after_gaps(part.seconds))
+def _segments(part: Rows, even: bool) -> tuple[Rows, Segments]:
+    """Return the longest segment without missing samples; and all, of which others have the same rate."""
+    after = np.zeros(len(part.values), bool) if even else after_gaps(part.seconds)
+    segments = segments_of(part.values, after)
     longest = part.taken(segments.longest)
     alike = []
     for rows in segments.others:
         if abs(part.taken(rows).interval / longest.interval - 1.0) < MAX_RATE_DIFFERENCE:
             alike.append(rows)
-    segments = segments._replace(others=tuple(alike))
-    gaps = segments.gaps(part.seconds, 1.0 / longest.interval)
-    return longest, tuple(map(part.taken, alike)), gaps, segments.notes(n)
+    return longest, segments._replace(others=tuple(alike))
 
 
 def notes_on_part(rows: slice, n: int, duration: float, source: Source) -> tuple[str, ...]:

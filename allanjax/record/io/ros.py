@@ -119,18 +119,16 @@ def _described(first: _Topic, connections: Sequence[Any]) -> str:
 def _topic(bag: Any, connections: Sequence[Any], source: Source, count: int | None) -> _Topic:
     """Return the messages of a topic in the order of the bag, or the first `count` of them."""
     name = connections[0].topic
-    stamps: list[np.ndarray] = []
-    arrivals, values, frame = [], [], ""
+    stamps, arrivals = [np.zeros(0, np.int64)], [np.zeros(0, np.int64)]
+    values, frame = [np.zeros((0, 6))], ""
     messages = itertools.islice(bag.messages(connections=connections), count)
-    while block := list(itertools.islice(messages, _AT_ONCE)):
+    for block in iter(lambda: list(itertools.islice(messages, _AT_ONCE)), []):
         raw = [message for _, _, message in block]
         frame = frame or raw[0][_TEXT:-_TAIL].partition(b"\0")[0].decode("utf-8", "replace")
-        decoded = _decoded(raw, name, len(stamps) * _AT_ONCE, source)
+        decoded = _decoded(raw, name, (len(values) - 1) * _AT_ONCE, source)
         stamps.append(decoded[0])
         values.append(decoded[1])
-        arrivals.append(np.array([time for _, time, _ in block], dtype=np.int64))
-    if not stamps:
-        return _Topic(name, np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros((0, 6)), frame)
+        arrivals.append(np.array([time for _, time, _ in block], np.int64))
     return _Topic(name, np.concatenate(stamps), np.concatenate(arrivals), np.concatenate(values), frame)
 
 
@@ -150,15 +148,15 @@ def _decoded(
         block = np.frombuffer(b"".join([raw[i] for i in same.tolist()]), np.uint8).reshape(len(same), length)
         header, tail = (np.ascontiguousarray(x) for x in (block[:, 4:_TEXT], block[:, length - _TAIL :]))
         for order in "<>":
-            seconds, nanoseconds, text = header.view(f"{order}u4").astype(np.int64).T
-            end = _TEXT + text
+            numbers = header.view(f"{order}u4").astype(np.int64)
+            end = _TEXT + numbers[:, 2]
             fits = (length == end + _TAIL) | (length == 4 + (end + 3) // 8 * 8 + _TAIL)
             # A length of zero is the same in both byte orders.
             fits &= ~intact[same]
             rows = same[fits]
-            stamps[rows] = (seconds * 10**9 + nanoseconds)[fits]
-            numbers = tail.view(f"{order}f8")[fits]
-            values[rows, :3], values[rows, 3:] = numbers[:, _GYRO], numbers[:, _ACCEL]
+            stamps[rows] = numbers[fits, :2] @ [10**9, 1]
+            samples = tail.view(f"{order}f8")[fits]
+            values[rows, :3], values[rows, 3:] = samples[:, _GYRO], samples[:, _ACCEL]
             intact[rows] = True
     if not intact.all():
         raise source.error(
