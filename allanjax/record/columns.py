@@ -165,6 +165,11 @@ def split_unit(label: str) -> tuple[str, str | None]:
     return (label, None) if not unit or unit.isdigit() else (match[1].strip(), unit)
 
 
+def with_unit(name: str, unit: str | None) -> str:
+    """Return `gyro_x [deg/s]`; the name alone if it has a unit, or there is none."""
+    return f"{name} [{unit}]" if unit and split_unit(name)[1] is None else name
+
+
 def _words(stem: str) -> str:
     """Return a name as lower-case words joined by underscores, e.g. for `GyroX`, `gyro.x` or `gyro[0]`."""
     stem = re.sub(r"(?<=[a-z])(?=[A-Z])", "_", stem)
@@ -178,14 +183,13 @@ def _axis(label: str, words: str, unit: str | None) -> Column | None:
     for sensor, alias in _ALIASES.items():
         for names, increment in ((alias, False), (_INCREMENTS[sensor], True)):
             match = (
-                re.fullmatch(rf"(?:.*_)?(?:{names})(?:_?([xyz])|_?(\d))?", words)
-                or re.fullmatch(rf"(?:.*_)?(?:{names})(?:\d+|_\w+)_?([xyz])()", words)
-                or re.fullmatch(rf"(?:.*_)?([xyz])_?(?:{names})()", words)
-                or (None if increment else re.fullmatch(rf"{_LETTERS[sensor]}_?([xyz])()", words))
+                re.fullmatch(rf"(?:.*_)?(?:{names})(?:_?([xyz\d]))?", words)
+                or re.fullmatch(rf"(?:.*_)?(?:{names})(?:\d+|_\w+)_?([xyz])", words)
+                or re.fullmatch(rf"(?:.*_)?([xyz])_?(?:{names})", words)
+                or (None if increment else re.fullmatch(rf"{_LETTERS[sensor]}_?([xyz])", words))
             )
             if match is not None:
-                axis = match[1] or match[2]
-                name = f"{sensor}_{axis}" if axis else sensor
+                name = f"{sensor}_{match[1]}" if match[1] else sensor
                 # Of a magnetometer it is gauss.
                 unit = "g" if unit == "G" and sensor == "accel" else unit
                 return Column(label, "axis", name, sensor, unit, increment)
@@ -270,7 +274,7 @@ def axes_of(
             nameless.setdefault(column.sensor, column)
     if nameless:
         options = [_unit_option(sensor, "", columns, samples) for sensor in nameless]
-        raise UnitError(f"{source.label}: {_without_unit(nameless, options, source)}")
+        raise source.unit_error(_without_unit(nameless, options, source))
     for column in named:
         sensor = cast(Sensor, column.sensor)
         given = units[sensor]
@@ -281,13 +285,12 @@ def axes_of(
         except UnitError as error:
             ours = f"column {column.label!r}: {error}; pass {option}"
             wrong = ours if given is None else f"{option}: {error}"
-            raise UnitError(f"{source.label}: {wrong}") from error
+            raise source.unit_error(wrong) from error
         if column.increment and unit.quantity == "rate" and given is None:
             usual = SI[sensor]["increment"]
-            raise UnitError(
-                f"{source.label}: column {column.label!r} holds increments by its name, but {unit.name} "
-                f"is a unit of rates; pass the unit that it has, such as {sensor}_unit='{usual}' "
-                f"(--{sensor}-unit {usual})"
+            raise source.unit_error(
+                f"column {column.label!r} holds increments by its name, but {unit.name} is a unit of rates; "
+                f"pass the unit that it has, such as {sensor}_unit='{usual}'"
             )
         axes.append(Axis(column.name, sensor, unit.name))
         labelled = recognise(column.label).unit
@@ -326,9 +329,7 @@ def _unit_option(sensor: Sensor, text: str, columns: Sequence[Column], samples: 
         if off[best] < _ABOUT_GRAVITY:
             found, why = best, f"in which they average gravity ({mean:.4g})"
     found = found.replace("²", "^2")
-    return f"{sensor}_unit=" + (
-        f"'{found}' (--{sensor}-unit {found}), {why}" if found else f" (--{sensor}-unit)"
-    )
+    return f"{sensor}_unit=" + (f"'{found}', {why}" if found else "")
 
 
 class OfAxes:
@@ -421,7 +422,7 @@ def default_names(
         return (sensors[0],)
     if sensors and count == 3 * len(sensors):
         return tuple(f"{sensor}_{axis}" for sensor in sensors for axis in "xyz")
-    stated = " and ".join(f"{sensor}_unit= (--{sensor}-unit)" for sensor in sensors) or "no unit"
+    stated = " and ".join(f"{sensor}_unit=" for sensor in sensors) or "no unit"
     raise source.error(
         f"{count} columns without names and {stated} given: the columns cannot be identified{seen}; "
         "name them with columns= (--columns; names= of an array), one entry per column, - skips one, e.g. "
@@ -432,15 +433,13 @@ def default_names(
 def distinct(columns: Sequence[Column], source: Source) -> tuple[Column, ...]:
     """Return the columns of axes; axes of several sensors of one kind keep the names in their labels."""
     if not columns:
-        raise source.error("no gyro or accelerometer column; name the columns with columns= (--columns)")
+        raise source.error("no gyro or accelerometer column; name the columns with columns=")
     count = Counter(column.name for column in columns)
     own = [replace(c, name=split_unit(c.label)[0]) if count[c.name] > 1 else c for c in columns]
     named: dict[str, Column] = {}
     for column in own:
         other = named.setdefault(column.name, column)
         if other is not column:
-            raise source.error(
-                f"columns {other.label!r} and {column.label!r} are both {column.name}; choose one with "
-                "columns= (--columns)"
-            )
+            both = f"columns {other.label!r} and {column.label!r} are both {column.name}"
+            raise source.error(f"{both}; choose one with columns=")
     return tuple(own)

@@ -13,7 +13,7 @@ from allanjax.base.equality import ByValue
 from allanjax.base.errors import RecordingError
 from allanjax.base.tables import as_html, columns_from, printable
 from allanjax.base.wording import duration
-from allanjax.record.columns import Axis, DeadAxis, scales_of
+from allanjax.record.columns import Axis, DeadAxis, scales_of, with_unit
 from allanjax.record.completion import (
     Gap,
     bridged,
@@ -168,12 +168,11 @@ class Recording(ByValue):
     def _columns(
         self, samples: Float[np.ndarray, "samples axes"], units: Sequence[str]
     ) -> dict[str, Float[np.ndarray, " samples"]]:
-        labels = [f"{axis.name} [{unit}]" for axis, unit in zip(self.axes, units, strict=True)]
-        auxiliary = {}
+        labels = map(with_unit, self.names, units)
+        columns = {"time [s]": self.time, **dict(zip(labels, samples.T, strict=True))}
         for name, column in self.auxiliary.items():
-            unit = self.auxiliary_units.get(name)
-            auxiliary[f"{name} [{unit}]" if unit else name] = column
-        return {"time [s]": self.time, **dict(zip(labels, samples.T, strict=True)), **auxiliary}
+            columns[with_unit(name, self.auxiliary_units.get(name))] = column
+        return columns
 
     def to_dataframe(self, si: bool = False) -> "pd.DataFrame":
         """Return a table with one row per sample and the `columns`, as input for `from_dataframe` or `fit`.
@@ -232,8 +231,7 @@ class Recording(ByValue):
             for dead in self.dead:
                 if key == dead.axis.name:
                     raise source.error(f"{key} was left out: {dead.reason}")
-            found = [i for i, axis in enumerate(self.axes) if axis.name == key]
-            found = found or [i for i, axis in enumerate(self.axes) if axis.sensor == key]
+            found = [i for i, axis in enumerate(self.axes) if key in (axis.name, axis.sensor)]
             if not found:
                 raise source.error(f"no axis {key!r}; axes are {', '.join(self.names)}")
             chosen += [i for i in found if i not in chosen]

@@ -270,9 +270,10 @@ def parse_quantity(text: Any) -> tuple[float, str] | None:
     return (float(found[1]), found[2]) if found and found[2] else None
 
 
-def is_unit(text: str) -> bool:
-    """Whether a text is a known unit."""
-    return _parse(text) is not None
+def is_unit(text: str, like: str | None = None) -> bool:
+    """Whether a text is a known unit, of the same dimension as another one if that is given."""
+    unit = _parse(text)
+    return unit is not None and (like is None or unit.dimension == _known(like, None).dimension)
 
 
 def same_unit(one: str, other: str) -> bool:

@@ -529,6 +529,7 @@ CALLS = [
     (lambda f: [(f / "d.npz").write_bytes(b"PK\3\4" + bytes(99)), aj.read(f / "d.npz")], "save it again"),
     (lambda f: [in_turn(f / "k.csv"), aj.read_chunks(f / "k.csv", columns="gyro")], "several kinds"),
     (lambda f: aj.convert(1.0, "what", "deg/h"), "deg/h", aj.UnitError),
+    (lambda f: aj.convert(1.0, "deg/s", "s"), "deg/h", aj.UnitError),
     (lambda f: aj.convert(1.0, "m/s^2", "deg/h", "gyro"), "for an accelerometer", aj.UnitError),
 ]
 # Messages that no case here makes, by file and words, and why.

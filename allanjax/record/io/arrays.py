@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from allanjax.record.columns import split_unit
+from allanjax.record.columns import split_unit, with_unit
 from allanjax.record.io.table import Columns, Format, Table, check_claim, damage_reported, optional_package
 from allanjax.record.validation import Source
 
@@ -136,7 +136,7 @@ def from_named(arrays: Mapping[str, np.ndarray], source: Source) -> Table:
             matrices += len(parts) > 1
             stem, unit = split_unit(name)
             ends = [f"_{end}" for end in ("xyz" if len(parts) == 3 else range(len(parts)))]
-            labels = [f"{stem}{end}" + (f" [{unit}]" if unit else "") for end in ends]
+            labels = [with_unit(f"{stem}{end}", unit) for end in ends]
             columns |= dict(zip([name] if len(parts) == 1 else labels, parts, strict=True))
     if not columns:
         raise source.error("no array of samples; save one column per axis, or gyro and accel [samples, 3]")
@@ -335,9 +335,8 @@ def read_tdms(path: Path, source: Source) -> Table:
                     )
                 name = channel.name if len(groups) == 1 else f"{group.name}.{channel.name}"
                 unit = str(channel.properties.get("unit_string", "")).strip()
-                label = f"{name} [{unit}]" if unit and split_unit(name)[1] is None else name
                 if len(channel):
-                    arrays[label] = channel[:]
+                    arrays[with_unit(name, unit)] = channel[:]
                     intervals.add(float(channel.properties.get("wf_increment", 0.0)))
     if len(intervals) == 1 and min(intervals) > 0.0:
         arrays["dt"] = np.array(intervals.pop())

@@ -316,9 +316,7 @@ def _chosen(
     kept = {key: series for key, series in found.items() if instance in (None, key[1])}
     if not kept:
         numbers = sorted({number for _, number in found})
-        raise source.error(
-            f"no instance {instance}; choose {', '.join(map(str, numbers))} with instance= (--instance)"
-        )
+        raise source.error(f"no instance {instance}; choose {', '.join(map(str, numbers))} with instance=")
     names = {name for name, _ in kept}
     if topic is None:
         fastest = max(kept, key=lambda key: kept[key].rate)[0]

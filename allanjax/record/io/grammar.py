@@ -10,7 +10,7 @@ from dataclasses import dataclass, field, replace
 from importlib.resources import files
 from typing import Any, NamedTuple
 
-from allanjax.record.columns import recognise, split_unit
+from allanjax.record.columns import recognise, split_unit, with_unit
 from allanjax.record.io.cells import (
     delimiter_of,
     fits,
@@ -184,7 +184,7 @@ def grammar_of(texts: Sequence[str], file: str, source: Source) -> Grammar:
     """
     head = list(enumerate(texts[:FIRST_LINES]))
     if not any(text.strip() for text in texts):
-        raise source.error("the file is empty; give a file with one row of numbers per sample")
+        raise source.no_rows()
     found = _plain(head)
     if found is None or not _is_regular(found, texts):
         found = _of_messages(head) or found
@@ -322,7 +322,7 @@ def _with_names(found: Grammar, before: Sequence[_Line]) -> Grammar:
         number, names = header
         units = _units([cells for n, cells in named if n > number])
         pairs = itertools.zip_longest(names, units[: len(names)], fillvalue="")
-        labels = tuple(f"{x} [{unit}]" if unit and not split_unit(x)[1] else x for x, unit in pairs)
+        labels = tuple(with_unit(name, unit) for name, unit in pairs)
         notes = found.notes + _skipped([line.text for line in plain if line.number < number])
         # Without units, all lines after the header are data.
         return replace(found, start=found.start if units else number + 1, labels=labels, notes=notes)

@@ -125,9 +125,8 @@ class Stamps:
         if self._is_coarse:
             if self.why_even:
                 return self._even(rate, self.why_even)
-            places = self._demodulated()
-            if places is not None:
-                return self._with_lost(places, rate, gaps)
+            if self._demodulated is not None:
+                return self._with_lost(self._demodulated, rate, gaps)
             # Stamps that do not tell which samples are missing do not tell where to fill them in.
             gaps = gaps and not self._beats
         try:
@@ -163,8 +162,9 @@ class Stamps:
         spacings = np.diff(self._unlike)
         return self._is_coarse and bool(np.std(spacings) < _AT_RANDOM * np.mean(spacings))
 
+    @cached_property
     def _demodulated(self) -> Int[np.ndarray, " samples"] | None:
-        """Return the places of samples on a grid some of whose stamps are missing, all rounded to steps.
+        """The places of samples on a grid some of whose stamps are missing, all rounded to steps.
 
         The spectrum of the stamps has a line at the rate, also where it is below the resolution's. It is
         sought from the mean rate up to that with the most samples missing, and the grid follows its phase.
@@ -289,9 +289,8 @@ class Stamps:
     def _lost(self) -> int:
         """How many samples are missing if intervals are whole multiples of the usual one; else 0."""
         if self._is_coarse:
-            places = self._demodulated()
-            if places is not None:
-                return _lost_from(places)
+            if self._demodulated is not None:
+                return _lost_from(self._demodulated)
             if self._beats:
                 return 0
         intervals = self._intervals
@@ -347,15 +346,13 @@ class Stamps:
 
     def _refuse_excluded(self) -> None:
         """Raise RecordingError if the stamps exclude that samples are evenly spaced."""
-        forced = "; if the stamps are wrong, add force=True (--force)"
+        forced = "; if the stamps are wrong, add force=True"
         pieces = self._pieces()
         if pieces:
             raise self.source.error(f"{self._of_pieces(pieces)}{forced}", "rate")
         if self._lost and not self.why_even:
-            omit = "omit time='uniform' (--time uniform)"
-            raise self.source.error(
-                f"the samples are not evenly spaced: {self._lack(self._lost)}; {omit}{forced}", "gaps"
-            )
+            lack = f"the samples are not evenly spaced: {self._lack(self._lost)}"
+            raise self.source.error(f"{lack}; omit time='uniform'{forced}", "gaps")
 
     def _lack(self, lost: int) -> str:
         """Return that samples are missing, in words."""
@@ -369,10 +366,10 @@ class Stamps:
     def _missing(self, lost: int) -> str:
         """Return that samples are missing, and what to do, in words."""
         text, share = f"column {self.label!r}: {self._lack(lost)}", lost / (lost + len(self.seconds))
-        segment = "read the longest part without with gaps='segments' (--gaps segments)"
+        segment = "read the longest part without with gaps='segments'"
         if share > MOST_MISSING:
             return f"{text}; at most {percent(MOST_MISSING)} can be filled in: {segment}"
-        return f"{text}; fill them in with gaps='fill' (--gaps fill), or {segment}"
+        return f"{text}; fill them in with gaps='fill', or {segment}"
 
     def _of_pieces(self, pieces: list[Piece]) -> str:
         """Return the rates of pieces, and how to read the longest, in words."""
@@ -399,7 +396,7 @@ class Stamps:
         may_fill = not gaps and not self.more
         if self._lost and may_fill:
             return self._missing(self._lost)
-        fill = "if samples are missing, fill them in with gaps='fill' (--gaps fill); "
+        fill = "if samples are missing, fill them in with gaps='fill'; "
         return (
             f"column {self.label!r} is irregular: the mean interval is {np.mean(self._intervals):.6g} s, the "
             f"rms jitter {np.std(self._intervals):.3g} s, and {percent(float(np.mean(long)))} of the "
@@ -422,9 +419,7 @@ class Stamps:
         if self._beats or self._unsteadiness > MAX_RATE_DIFFERENCE:
             return ""
         rate = f"{1.0 / _interval(self.seconds):.6g} Hz"
-        return (
-            f"if the samples are evenly spaced (at {rate} on average), pass time='uniform' (--time uniform); "
-        )
+        return f"if the samples are evenly spaced (at {rate} on average), pass time='uniform'; "
 
     def _backwards(self) -> str:
         """Return a message on stamps that repeat or go back, and what can be read instead."""
@@ -442,8 +437,7 @@ class Stamps:
                 Stamps(longest, self.step, self.label, self.source).grid(
                     None, gaps=False, uniform=False, force=False
                 )
-                segments = f"read the longest part without ({len(longest)} samples) with gaps='segments' "
-                segments += "(--gaps segments); "
+                segments = f"read the longest part without ({len(longest)} samples) with gaps='segments'; "
                 if len(back) < _SET * len(times):
                     # A clock that was set a few times is otherwise right.
                     why, uniform = "the clock was set", ""
@@ -472,13 +466,10 @@ class Stamps:
         remedies = []
         if end - begin > MIN_SAMPLES:
             remedies.append(
-                f"read a part without gaps, the longest with {self._part(begin, end)} or gaps='segments' "
-                "(--gaps segments)"
+                f"read a part without gaps, the longest with {self._part(begin, end)} or gaps='segments'"
             )
         if drawn:
-            fill = (
-                f"fill in the {drawn} missing of {drawn + len(times)} samples with gaps='fill' (--gaps fill)"
-            )
+            fill = f"fill in the {drawn} missing of {drawn + len(times)} samples with gaps='fill'"
             # Of many gaps the longest part between is short.
             remedies.insert(0 if 2 * (end - begin) < len(times) else 1, fill)
         count = "the only gap" if len(gaps) == 1 else f"the first of {len(gaps)} gaps"
@@ -526,12 +517,12 @@ def _short(time: float) -> str:
 
 def _start(time: float) -> str:
     """Return the option to start at a time, rounded up to ms to avoid a gap before it."""
-    return f"start={np.ceil(time * 1e3 - 1e-7) / 1e3 + 0.0:.3f} (--start)"
+    return f"start={np.ceil(time * 1e3 - 1e-7) / 1e3 + 0.0:.3f}"
 
 
 def _stop(time: float) -> str:
     """Return the option to stop before a time, rounded down to ms to avoid a gap after it."""
-    return f"stop={np.floor(time * 1e3 + 1e-7) / 1e3:.3f} (--stop)"
+    return f"stop={np.floor(time * 1e3 + 1e-7) / 1e3:.3f}"
 
 
 def _lost_from(places: Int[np.ndarray, " samples"]) -> int:

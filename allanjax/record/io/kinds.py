@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Shaped
 
 from allanjax.base.errors import MixedRatesError
-from allanjax.record.columns import recognise, split_unit
+from allanjax.record.columns import recognise, split_unit, with_unit
 from allanjax.record.io.options import ReadOptions
 from allanjax.record.io.table import Columns, Table, is_numeric
 from allanjax.record.units import SENSORS, Sensor
@@ -36,7 +36,7 @@ def of_one_kind(table: Table, columns: Columns, options: ReadOptions) -> tuple[T
         if chosen not in found:
             error = table.source.error(
                 f"rows of {' and '.join(found)} alternate, as column {labels[k]!r} says; read one sensor "
-                "with columns='gyro' or columns='accel' (--columns gyro, --columns accel)"
+                "with columns='gyro' or columns='accel'"
             )
             raise MixedRatesError(str(error), found)
         wanted = [kind for kind, sensor in kinds.items() if sensor == chosen]
@@ -73,7 +73,7 @@ def _renamed(label: str, sensor: str) -> str:
     axis, unit = _last_of(label), split_unit(label)[1]
     if axis not in _AXES:
         return label
-    return f"{sensor}_{axis}" + (f" [{unit}]" if unit else "")
+    return with_unit(f"{sensor}_{axis}", unit)
 
 
 def _last_of(label: str) -> str:

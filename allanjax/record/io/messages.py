@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from allanjax.record.columns import recognise, split_unit
+from allanjax.record.columns import recognise, with_unit
 from allanjax.record.io.cells import (
     TIME,
     VALUE,
@@ -310,7 +310,7 @@ def _with_units(names: Sequence[str | None], values: Sequence[_Value]) -> list[s
         units[k - 1] = units[k - 1] or (units[k] if values[k].follows else "")
     labels: list[str | None] = []
     for name, unit in zip(names, units, strict=True):
-        label = f"{name} [{unit}]" if name and unit and not split_unit(name)[1] else name
+        label = name and with_unit(name, unit)
         labels.append(f"{label} {len(labels) + 1}" if label in labels and label else label)
     return labels
 

@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from allanjax.base.errors import MixedRatesError
-from allanjax.record.columns import Column, axes_by_sensor
+from allanjax.record.columns import Column, axes_by_sensor, with_unit
 from allanjax.record.completion import Gap, Segments, on_grid, segments_of, without_repeats
 from allanjax.record.io.absent import without_samples
 from allanjax.record.io.grid import Stamps, after_gaps
@@ -221,9 +221,8 @@ def _auxiliary(
         cell = str(values[0])[:40]
         return None, f"column {column.label!r} skipped as it is not numeric: {cell!r} at {source.locate(0)}"
     numbers = values.astype(float)
-    unit = f" [{column.unit}]" if column.unit else ""
-    missing = np.count_nonzero(~np.isfinite(numbers))
-    return numbers, f"auxiliary: {column.name}{unit}{f' ({missing} values missing)' if missing else ''}"
+    label, missing = with_unit(column.name, column.unit), np.count_nonzero(~np.isfinite(numbers))
+    return numbers, f"auxiliary: {label}{f' ({missing} values missing)' if missing else ''}"
 
 
 def _own(part: Rows, layout: Layout, options: ReadOptions) -> tuple[Rows, list[str]]:
@@ -274,8 +273,7 @@ def own_rows(part: Rows, columns: Sequence[Column]) -> Bool[np.ndarray, " sample
     listed = " and ".join(f"{sensor} at {rate:.4g} Hz" for sensor, rate in rates.items())
     error = part.source.error(
         f"the sensors were sampled at different times, {listed} (other rows have none of their samples), but "
-        "a recording has one rate; read one sensor with columns='gyro' or columns='accel' (--columns gyro, "
-        "--columns accel)"
+        "a recording has one rate; read one sensor with columns='gyro' or columns='accel'"
     )
     raise MixedRatesError(str(error), tuple(map(str, fresh)))
 
@@ -300,8 +298,7 @@ def notes_on_part(rows: slice, n: int, duration: float, source: Source) -> tuple
     """
     if rows.start == rows.stop:
         raise source.error(
-            f"start= and stop= (--start, --stop) leave no sample of its {duration:.6g} s; pass times within "
-            "it as start= and stop= (--start, --stop)"
+            f"start= and stop= leave no sample of its {duration:.6g} s; pass start= and stop= within it"
         )
     check_length(rows.stop - rows.start, source, n >= MIN_SAMPLES)
     if rows == slice(0, n):
@@ -318,10 +315,8 @@ def stated_rate(table: Table, layout: Layout, given: float | None) -> tuple[floa
     found = table.rate if given is None else given
     if found is None and not layout.clock:
         others = ", ".join(column.label for column in layout.auxiliary)
-        stamps = f"if one of {others} has time stamps, name it with time= (--time), or " if others else ""
-        raise table.source.error(
-            f"no sample rate; pass rate= in Hz (--rate); {stamps}add a column `time [s]`"
-        )
+        stamps = f"if one of {others} has time stamps, name it with time=, or " if others else ""
+        raise table.source.error(f"no sample rate; pass rate= in Hz; {stamps}add a column `time [s]`")
     rate = None if found is None else check_rate(found, table.source)
     if rate is None or table.rate is None or abs(table.rate / rate - 1.0) <= MAX_RATE_DIFFERENCE:
         return rate, ()

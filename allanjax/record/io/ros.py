@@ -68,7 +68,7 @@ def open_ros(path: Path, source: Source, topic: str | None) -> Table:
         if topic is None and len(names) > 1:
             if len(names) > 2 or not _are_halves([read(name, _FIRST).series for name in names]):
                 raise source.error(
-                    f"{len(names)} topics of sensor_msgs/Imu; choose one with topic= (--topic): {described()}"
+                    f"{len(names)} topics of sensor_msgs/Imu; choose one with topic=: {described()}"
                 )
         elif len(names) > 2 or len(set(names)) < len(names) or not set(names) <= set(topics):
             raise source.error(
@@ -176,14 +176,14 @@ def _table(topics: Sequence[_Topic], source: Source) -> Table:
     for topic in topics:
         series, name = topic.series, topic.name
         if not len(series.times):
-            raise source.error(f"the topic {name} has no messages; choose another with topic= (--topic)")
+            raise source.error(f"the topic {name} has no messages; choose another with topic=")
         if series.gyro is None and series.accel is None:
             raise source.error(f"the topic {name} has only zeros; record it while its sensor is running")
         notes += _notes(topic, series)
         found.append(series.in_order())
     if len(found) > 1 and not _are_halves(found):
         names = " and ".join(topic.name for topic in topics)
-        raise source.error(f"{names} are not gyros and accelerometers; choose one with topic= (--topic)")
+        raise source.error(f"{names} are not gyros and accelerometers; choose one with topic=")
     gyros_first = sorted(found, key=lambda series: series.gyro is None)
     return joined(gyros_first, source).table(topics[0].clock, source, notes)
 

@@ -79,7 +79,7 @@ def joined(chosen: Sequence[Series], source: Source) -> Series:
         return chosen[0]
     gyro, accel = chosen
     rates = gyro.rate, accel.rate
-    choose = f"choose one with topic= (--topic), {gyro.name} or {accel.name}"
+    choose = f"choose one with topic=, {gyro.name} or {accel.name}"
     if not all(rates) or abs(rates[0] / rates[1] - 1.0) > MAX_RATE_DIFFERENCE:
         raise source.error(
             f"the gyros of {gyro.name} are at {rates[0]:.6g} Hz and the accelerometers of {accel.name} at "

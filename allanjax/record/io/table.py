@@ -12,7 +12,7 @@ from typing import Any, TypeAlias
 import numpy as np
 from jaxtyping import Float, Shaped
 
-from allanjax.base.errors import AllanjaxError, RecordingError
+from allanjax.base.errors import AllanjaxError
 from allanjax.record.io.options import ReadOptions
 from allanjax.record.units import SENSORS, Sensor
 from allanjax.record.validation import Source, bad_cells
@@ -75,17 +75,13 @@ class Table:
         """Return all rows."""
         parts = list(self.rows(sys.maxsize))
         if not parts:
-            raise self.no_rows()
+            raise self.source.no_rows()
         return parts[0] if len(parts) == 1 else tuple(map(np.concatenate, zip(*parts, strict=True)))
 
     def units_with(self, options: ReadOptions) -> dict[Sensor, str | None]:
         """Return the unit of each sensor's samples: that of the options, else that of the format."""
         given = {sensor: unit for sensor, unit in options.units.items() if unit is not None}
         return {**dict.fromkeys(SENSORS), **self.units, **given}
-
-    def no_rows(self) -> RecordingError:
-        """Return the RecordingError for a file without rows."""
-        return self.source.error("the file has no rows; give a file with one row of numbers per sample")
 
 
 @dataclass(frozen=True)
@@ -116,9 +112,7 @@ class Format:
         """Return the table of a file of this kind."""
         for name in CHOICES:
             if name not in self.choices and getattr(options, name) is not None:
-                raise source.error(
-                    f"a file of this kind ({self.name}) has no {name}s; omit {name}= (--{name})"
-                )
+                raise source.error(f"a file of this kind ({self.name}) has no {name}s; omit {name}=")
         return self.open(path, source, **{name: getattr(options, name) for name in self.choices})
 
 

@@ -135,11 +135,7 @@ def _decompressed(path: Path, notes: list[str]) -> Iterator[bytes]:
     """Yield pieces of a file, of a compressed one up to where it is cut off, with a note."""
     with path.open("rb") as file:
         is_compressed = file.read(2) == _GZIP_MAGIC
-    if not is_compressed:
-        with path.open("rb") as stream:
-            yield from iter(functools.partial(stream.read, _BLOCK), b"")
-        return
-    with gzip.open(path) as stream:
+    with gzip.open(path) if is_compressed else path.open("rb") as stream:
         try:
             yield from iter(functools.partial(stream.read1, _BLOCK), b"")
         except EOFError:

@@ -8,11 +8,10 @@ from typing import Literal
 import numpy as np
 from jaxtyping import Float, Shaped
 
-from allanjax.base.errors import UnitError
 from allanjax.record.columns import Column
 from allanjax.record.io.cells import is_number
 from allanjax.record.io.table import as_float, is_numeric
-from allanjax.record.units import convert, same_unit
+from allanjax.record.units import convert, is_unit, same_unit
 from allanjax.record.validation import Source
 
 Seconds = Float[np.ndarray, " samples"]
@@ -21,7 +20,7 @@ Stamps = Sequence[Shaped[np.ndarray, " samples"]]
 Kind = Literal["numbers", "pair", "dates", "clock"]
 
 #: Remedy where stamps are of no use.
-IGNORE = "ignore the stamps with time='none' and rate= (--time none --rate)"
+IGNORE = "ignore the stamps with time='none' and rate="
 #: Largest relative difference between two statements of the sample rate.
 MAX_RATE_DIFFERENCE = 0.01
 # Numbers at which counters restart from zero: 8 to 32 bits, and a second, a minute, an hour, a day, a week;
@@ -293,13 +292,11 @@ def _unit(
     """Return the unit of the stamps, and notes: stated, the only plausible one, or implied by the rate."""
     name, stated = f"column {column.label!r}", time_unit or column.unit
     if stated is not None:
-        try:
-            convert(1.0, stated, "s")
-        except UnitError as error:
-            raise UnitError(
-                f"{source.label}: {name}: {stated!r} is not a unit of time; pass time_unit= (--time-unit): "
-                "s, ms, us, ns, min, h, or a multiple such as '0.1 ms'"
-            ) from error
+        if not is_unit(stated, "s"):
+            raise source.unit_error(
+                f"{name}: {stated!r} is not a unit of time; pass time_unit=: s, ms, us, ns, min, h, or a "
+                "multiple such as '0.1 ms'"
+            )
         if column.unit is None or same_unit(column.unit, stated):
             return stated, ()
         return stated, (f"{name} read in {stated} as requested, although labelled {column.unit}",)
@@ -328,6 +325,6 @@ def _unit(
         note = f"{name} has no unit, and none fits {rate:g} Hz ({listed})"
         return f"{step!r} s", (f"{note}; assuming counts of {step:.6g} s each",)
     raise source.error(
-        f"{name} has no unit, and it is ambiguous ({listed}); pass time_unit= (--time-unit), such as s, ms "
-        f"or '0.1 ms', or rate= (--rate), or write the unit in the header: `{column.name} [s]`"
+        f"{name} has no unit, and it is ambiguous ({listed}); pass time_unit=, such as s, ms or '0.1 ms', or "
+        f"rate=, or write the unit in the header: `{column.name} [s]`"
     )
