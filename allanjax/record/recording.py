@@ -317,12 +317,12 @@ def recording_of(table: Table, name: str, options: ReadOptions) -> Recording:
 
 def _recording(table: Table, layout: Layout, record: Record, name: str) -> Recording:
     """Make a recording of the axes that are not dead, with lost samples filled in given the others."""
-    values, lost = record.values, record.lost
+    values, lost = record.rows.values, record.lost
     gaps = record.gaps
     if lost.any():
         values = np.array([bridged(*column) for column in zip(values.T, lost.T, strict=True)]).T
     labels = [column.label for column in layout.columns]
-    kept, dead = _living(values, layout.axes, np.ones(len(labels)), labels, record.source)
+    kept, dead = _living(values, layout.axes, np.ones(len(labels)), labels, record.rows.source)
     values, lost = values[:, kept], lost[:, kept]
     axes = _without(dead, layout.axes)
     scales = scales_of(axes, record.rate)
@@ -333,14 +333,15 @@ def _recording(table: Table, layout: Layout, record: Record, name: str) -> Recor
         gaps = gaps_of(lost)
     others, places = [], []
     for place, other in zip(record.places, record.others, strict=True):
-        if (np.ptp(other[:, kept], axis=0) > 0.0).all():
-            others.append(other[:, kept] * scales)
+        samples = other.values[:, kept]
+        if (np.ptp(samples, axis=0) > 0.0).all():
+            others.append(samples * scales)
             places.append(place)
     return Recording(
         values=values * scales,
         rate=record.rate,
         axes=axes,
-        auxiliary=MappingProxyType(dict(record.auxiliary)),
+        auxiliary=MappingProxyType(dict(record.rows.auxiliary)),
         auxiliary_units=MappingProxyType({c.name: c.unit for c in layout.auxiliary if c.unit}),
         name=name,
         notes=(*notes, *(axis.note for axis in dead)),

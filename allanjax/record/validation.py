@@ -9,6 +9,7 @@ from jaxtyping import Bool, Float, Shaped
 
 from allanjax.base.errors import RecordingError, UnitError
 from allanjax.base.wording import harmless, with_commands
+from allanjax.record.shapes import Channel, Values
 
 MIN_SAMPLES = 16
 """Fewest samples that make a recording."""
@@ -64,7 +65,7 @@ def check_rate(rate: float, source: Source) -> float:
     return float(rate)
 
 
-def as_columns(values: Float[np.ndarray, "*shape"], source: Source) -> Float[np.ndarray, "samples axes"]:
+def as_columns(values: Float[np.ndarray, "*shape"], source: Source) -> Values:
     """Return samples as one column per axis; RecordingError if they have another shape."""
     table = values[:, None] if values.ndim == 1 else values
     if table.ndim != 2 or table.shape[1] == 0:
@@ -98,9 +99,7 @@ def check_length(samples: int, source: Source, is_part: bool = False) -> None:
         )
 
 
-def check_values(
-    values: Float[np.ndarray, "samples axes"], labels: Sequence[str], source: Source
-) -> Bool[np.ndarray, " axes"]:
+def check_values(values: Values, labels: Sequence[str], source: Source) -> Bool[np.ndarray, " axes"]:
     """Check samples, one column per label, and return which columns are alive; the others are dead.
 
     A dead column never changes or has no usable number.
@@ -129,7 +128,7 @@ def usable(values: Float[np.ndarray, "*shape"]) -> Bool[np.ndarray, "*shape"]:
     return np.abs(values) <= LARGEST
 
 
-def check_finite(column: Float[np.ndarray, " samples"], label: str, source: Source) -> None:
+def check_finite(column: Channel, label: str, source: Source) -> None:
     """Raise `RecordingError` if a value of the column is unusable; see `check_values`."""
     if not abs(column).max() <= LARGEST:
         bad = np.flatnonzero(~usable(column))

@@ -515,6 +515,7 @@ CALLS = [
     (lambda f: aj.read(f / "none.csv"), "no such file"),
     (lambda f: [lines("tau,gyro_x [deg/s]", *20 * ["1,2"])(f / "c.csv"), aj.read(f / "c.csv")], "read_curve"),
     (lambda f: [lines("")(f / "e.csv"), aj.read(f / "e.csv")], "empty"),
+    (lambda f: [write(f / "e.parquet", FRAME[:0]), aj.read_chunks(f / "e.parquet", **RATE)], "no rows"),
     (
         lambda f: [(f / "z.csv").write_bytes(b"a" * 600 + bytes(40) * 3), aj.read(f / "z.csv")],
         "row of numbers",

@@ -16,7 +16,8 @@ from jaxtyping import Bool, Float, Int
 from allanjax.base.errors import RecordingError
 from allanjax.base.wording import percent, plain
 from allanjax.record.completion import MOST_MISSING
-from allanjax.record.io.times import IGNORE, MAX_RATE_DIFFERENCE, Seconds
+from allanjax.record.io.times import IGNORE, MAX_RATE_DIFFERENCE
+from allanjax.record.shapes import Chosen, Places, Seconds
 from allanjax.record.validation import MIN_SAMPLES, Source, check_length
 
 # An interval longer than the median by this factor is a gap if the stamps after it are half an interval later
@@ -26,27 +27,28 @@ _GAP, _ABOUT = 1.5, 8
 _MAX_JITTER = 0.2
 # If a larger share of the intervals is long, a message does not describe single gaps.
 _MANY_GAPS = 0.05
-# Distance from a whole multiple of the interval within which an interval is one; the least share of such
-# intervals; and the most intervals below half the usual one, per long one: a late stamp makes one of these.
-_NEAR_WHOLE, _MOSTLY = 0.2, 0.95
+# Samples are missing if this share of the long intervals is this near to whole multiples of the usual one.
+_MOSTLY, _NEAR_WHOLE = 0.95, 0.2
+# A late stamp is followed by a short interval: the most of these, per long interval, if samples are missing.
 _EARLY = 0.25
 # Deviations from an even grid, in intervals, below which no sample can be missing.
 _WITHIN = 0.5
 # Share of stamps that go back, below which the clock was set.
 _SET = 0.01
-# Fewest intervals unlike the usual one that show whether they come as regularly as by rounding; and the
-# standard deviation of the distances between them, over their mean, from which they come at random.
+# Intervals unlike the usual one show by their distances whether they come from rounding: so many are needed,
+# and they come at random if the standard deviation of the distances is this share of their mean.
 _SHOWING, _AT_RANDOM = 10, 0.5
-# Resolution of stamps, in intervals, from which grids are sought by the line in the spectrum of the stamps;
-# steps in that spectrum; the power of a line, in that of chance; and stamps over which its phase is followed.
+# Stamps with a coarser resolution than this, in intervals, show their rate as a line in their spectrum, which
+# has at most so many steps.
 _COARSE, _BINS = 0.15, 1 << 20
+# The power of a line, in that of chance; and so many stamps over which its phase is followed.
 _LINE, _FOLLOWED = 50.0, 512
+# Rounding of the numbers of steps in an interval.
 _SLACK = 1e-3
-# Stamps scatter about even times, and do not wander off as they would if samples were lost, if the mean
-# deviations from an even grid of so many parts of the record scatter less than this factor times those of
-# single stamps. The fewest stamps from which this can be told, and the least deviation of a quarter of them,
-# in intervals.
+# Stamps that scatter about even times do not wander off, as they would if samples were lost: the means of
+# their deviations over so many parts of the record scatter less than this factor times single deviations.
 _PARTS, _BOUNDED = 16, 0.5
+# So many stamps are needed to tell this, a quarter of which deviate by this part of an interval.
 _FEWEST, _SCATTER = 512, 0.1
 # Parts in which the interval is compared to find pieces of different rates, and the most pieces.
 _BLOCKS, _PIECES = 64, 5
@@ -67,7 +69,7 @@ class Grid(NamedTuple):
     rate: float
     note: str
     jitter: float
-    places: Int[np.ndarray, " samples"]
+    places: Places
     stamped: float
     even: bool = False
 
@@ -163,7 +165,7 @@ class Stamps:
         return self._is_coarse and bool(np.std(spacings) < _AT_RANDOM * np.mean(spacings))
 
     @cached_property
-    def _demodulated(self) -> Int[np.ndarray, " samples"] | None:
+    def _demodulated(self) -> Places | None:
         """The places of samples on a grid some of whose stamps are missing, all rounded to steps.
 
         The spectrum of the stamps has a line at the rate, also where it is below the resolution's. It is
@@ -201,7 +203,7 @@ class Stamps:
         # Each sample has a place of its own.
         return np.maximum.accumulate(places - np.arange(n)) + np.arange(n)
 
-    def _with_lost(self, places: Int[np.ndarray, " samples"], rate: float | None, gaps: bool) -> Grid:
+    def _with_lost(self, places: Places, rate: float | None, gaps: bool) -> Grid:
         """Return the grid of samples at these places, some of which are missing."""
         if not gaps:
             raise self.source.error(self._missing(_lost_from(places)), "gaps")
@@ -247,7 +249,7 @@ class Stamps:
         rate: float | None,
         stamped: float,
         jitter: float,
-        places: Int[np.ndarray, " samples"],
+        places: Places,
         even: str = "",
     ) -> Grid:
         """Return the grid at the given rate, or else that of the stamps; `even` is why it is even, if so."""
@@ -311,30 +313,28 @@ class Stamps:
         intervals = self._intervals
         if len(intervals) < 4 * _BLOCKS or self._unsteadiness <= MAX_RATE_DIFFERENCE:
             return []
-        usual = []
-        for block in np.array_split(intervals, _BLOCKS):
+        usual = np.zeros(_BLOCKS)
+        for k, block in enumerate(np.array_split(intervals, _BLOCKS)):
             typical = np.median(block)
-            usual.append(float(np.mean(block[abs(block - typical) <= 0.5 * typical])))
+            usual[k] = np.mean(block[abs(block - typical) <= 0.5 * typical])
         edges = np.linspace(0, len(intervals), _BLOCKS + 1).astype(int)
         # A block within which the rate changes has an interval of its own.
-        levels = [k for k in range(_BLOCKS - 1) if abs(usual[k + 1] / usual[k] - 1.0) < MAX_RATE_DIFFERENCE]
+        levels = np.flatnonzero(abs(np.diff(usual)) < MAX_RATE_DIFFERENCE * usual[:-1]).tolist()
         if len(levels) < _BLOCKS - 1 - 2 * _PIECES:
             return []
-        runs: list[list[int]] = [[levels[0]]]
-        for k in levels[1:]:
-            same = abs(usual[k] / float(np.mean([usual[j] for j in runs[-1]])) - 1.0) < MAX_RATE_DIFFERENCE
-            if same:
-                runs[-1].append(k)
-            else:
-                runs.append([k])
+        runs: list[list[int]] = []
+        for k in levels:
+            level = usual[runs[-1]].mean() if runs else np.inf
+            if not abs(usual[k] / level - 1.0) < MAX_RATE_DIFFERENCE:
+                runs.append([])
+            runs[-1].append(k)
         if not 2 <= len(runs) <= _PIECES:
             return []
         found, first = [], 0
         for run, following in zip(runs, [*runs[1:], None], strict=True):
-            end = len(self.seconds)
-            own = float(np.mean([usual[k] for k in run]))
+            own, end = float(usual[run].mean()), len(self.seconds)
             if following is not None:
-                other = float(np.mean([usual[k] for k in following]))
+                other = usual[following].mean()
                 between = slice(edges[run[-1]], edges[following[0] + 1])
                 is_other = abs(intervals[between] - other) < abs(intervals[between] - own)
                 # The place where most intervals before it are of one rate, and most after it of the other.
@@ -476,7 +476,7 @@ class Stamps:
         return f"{text}, {count}; {', or '.join(remedies) or 'too few samples remain for a recording'}"
 
 
-def after_gaps(times: Seconds) -> Bool[np.ndarray, " samples"]:
+def after_gaps(times: Seconds) -> Chosen:
     """Return which samples follow a gap in the times, or follow the clock being set back."""
     return np.concatenate([[False], gaps_in(times) | (np.diff(times) < 0.0)])
 
@@ -525,12 +525,12 @@ def _stop(time: float) -> str:
     return f"stop={np.floor(time * 1e3 + 1e-7) / 1e3:.3f}"
 
 
-def _lost_from(places: Int[np.ndarray, " samples"]) -> int:
+def _lost_from(places: Places) -> int:
     """Return how many places no sample has."""
     return int(places[-1]) + 1 - len(places)
 
 
-def _interval(times: Seconds, places: Int[np.ndarray, " samples"] | None = None) -> float:
+def _interval(times: Seconds, places: Places | None = None) -> float:
     """Return the interval [s] of the straight line through stamps; by default, all samples are there."""
     number = np.arange(len(times)) if places is None else places
     number = number - number.mean()

@@ -3,12 +3,12 @@
 from dataclasses import replace
 
 import numpy as np
-from jaxtyping import Shaped
 
 from allanjax.base.errors import MixedRatesError
 from allanjax.record.columns import recognise, split_unit, with_unit
 from allanjax.record.io.options import ReadOptions
 from allanjax.record.io.table import Columns, Table, is_numeric
+from allanjax.record.shapes import Cells
 from allanjax.record.units import SENSORS, Sensor
 
 # Rows in which kinds are looked for, and the most kinds that there are.
@@ -59,7 +59,7 @@ def _labels(columns: Columns) -> tuple[str, ...]:
     return tuple(next(own) if is_numeric(column) else f"column {k + 1}" for k, column in enumerate(columns))
 
 
-def _sensors(column: Shaped[np.ndarray, " rows"]) -> dict[str, Sensor]:
+def _sensors(column: Cells) -> dict[str, Sensor]:
     """Return the words in a column that name a sensor, and these sensors."""
     kinds = sorted(set(column[:_FIRST_ROWS].astype(str)))
     if len(kinds) > _MOST_KINDS:

@@ -6,7 +6,6 @@ from contextlib import suppress
 from dataclasses import dataclass, replace
 
 import numpy as np
-from jaxtyping import Shaped
 
 from allanjax.base.errors import UnitError
 from allanjax.record.columns import (
@@ -23,6 +22,7 @@ from allanjax.record.columns import (
 )
 from allanjax.record.io.options import ReadOptions
 from allanjax.record.io.table import Columns, Table, is_numeric
+from allanjax.record.shapes import Cells
 from allanjax.record.units import SENSORS, Sensor, is_unit, unit_scale
 from allanjax.record.validation import check_names
 
@@ -83,12 +83,12 @@ class Layout:
         every = (*notes, *clock_notes, *_notes_on(columns), *axis_notes)
         return cls(columns, axes, clock, auxiliary, _given(columns, options), every)
 
-    def stamps(self, columns: Columns) -> tuple[Shaped[np.ndarray, " rows"], ...]:
+    def stamps(self, columns: Columns) -> tuple[Cells, ...]:
         """Return the time stamps in these columns of the table."""
         return tuple(columns[column.index] for column in self.clock)
 
 
-def _is_channel(column: Column, values: Shaped[np.ndarray, " rows"]) -> bool:
+def _is_channel(column: Column, values: Cells) -> bool:
     """Return whether a column beside axes and clock is read; of other times, numbers that may be others."""
     if column.role == "time":
         return recognise(column.label).role == "auxiliary" and is_numeric(values)
@@ -139,7 +139,7 @@ def _recognised(labels: Sequence[str]) -> list[Column]:
     return [replace(recognise(label), index=i) for i, label in enumerate(labels)]
 
 
-def _as_time(column: Column, values: Shaped[np.ndarray, " rows"], table: Table) -> Column:
+def _as_time(column: Column, values: Cells, table: Table) -> Column:
     """Return a column of dates or in a unit of time as one of times; others unchanged."""
     if column.label in table.auxiliary:
         return replace(column, role="auxiliary", sensor=None)
@@ -156,7 +156,7 @@ def _as_time(column: Column, values: Shaped[np.ndarray, " rows"], table: Table) 
     return time
 
 
-def _increases(values: Shaped[np.ndarray, " rows"]) -> bool:
+def _increases(values: Cells) -> bool:
     """Return whether values mostly increase from row to row, or stay, as in bursts."""
     steps = np.diff(values.astype(float))
     return bool((steps > 0.0).any() and np.mean(steps >= 0.0) > _RISING)
@@ -285,7 +285,7 @@ def _clock(
     return best, [f"times from {' and '.join(c.label for c in best)}; {', '.join(ignored)} ignored"]
 
 
-def _unevenness(stamps: Shaped[np.ndarray, " rows"]) -> int:
+def _unevenness(stamps: Cells) -> int:
     """Return how uneven stamps are: 0 if intervals agree within a fifth, 1 if not, 2 if they never change."""
     if stamps.dtype.kind == "M":
         stamps = stamps.astype(np.int64)

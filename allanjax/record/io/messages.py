@@ -44,9 +44,9 @@ _SUM, _MARKS = re.compile(r"\*([\da-fA-F]{2}|[\da-fA-F]{8})\s*$"), tuple("$#%!@/
 _AFTER_NAME, _AFTER_VALUE = ":=({[", r"[,;|)}\]>\n]"
 # The name that a time without one is given, and the names of the axes in a group of three.
 _TIMES, _XYZ = ("time",), ("x", "y", "z")
-# How many of the most frequent shapes are tried; how many messages a shape needs; what share of the messages
-# it needs where a message has several lines; and how many numbers it needs if none of them is an axis.
+# How many of the most frequent shapes are tried, and how many messages a shape needs.
 _SHAPES, _FEWEST = 10, 3
+# Share of the messages that a shape needs where one has several lines; and numbers without an axis.
 _SHARE, _UNNAMED = 0.8, 3
 
 

@@ -5,7 +5,6 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float
 
 from allanjax.base.errors import MixedRatesError
 from allanjax.record.columns import Column, axes_by_sensor, with_unit
@@ -15,16 +14,14 @@ from allanjax.record.io.grid import Stamps, after_gaps
 from allanjax.record.io.layout import Layout
 from allanjax.record.io.options import ReadOptions
 from allanjax.record.io.table import Columns, Table, as_float, is_numeric
-from allanjax.record.io.times import MAX_RATE_DIFFERENCE, Clock, Seconds
+from allanjax.record.io.times import MAX_RATE_DIFFERENCE, Clock
+from allanjax.record.shapes import Channel, Chosen, Seconds, Values, Which
 from allanjax.record.validation import MIN_SAMPLES, Source, check_length, check_rate
 
-# Shares of rows: the least and the largest that are samples of a sensor that shares a table, and the share of
-# these (of all rows if two sensors alternate) at even intervals, to this part of the interval.
+# Least and largest share of the rows of a table in which a sensor was sampled that shares it with others.
 _LEAST_FRESH, _MOST_FRESH = 0.02, 0.92
+# This share of its intervals (of all rows if two sensors alternate) is even, to this part of the interval.
 _REGULAR, _SAME = 0.95, 0.45
-
-Values = Float[np.ndarray, "samples axes"]
-Which = Bool[np.ndarray, "samples axes"]
 
 
 class Rows(NamedTuple):
@@ -39,12 +36,12 @@ class Rows(NamedTuple):
     """
 
     values: Values
-    auxiliary: Mapping[str, Float[np.ndarray, " samples"]]
+    auxiliary: Mapping[str, Channel]
     seconds: Seconds
     source: Source
     absent: Which
 
-    def taken(self, rows: slice | Bool[np.ndarray, " samples"]) -> "Rows":
+    def taken(self, rows: slice | Chosen) -> "Rows":
         """Return some of the rows; RecordingError if they are too few for a recording."""
         auxiliary = {name: column[rows] for name, column in self.auxiliary.items()}
         source = self.source.after(rows.start) if isinstance(rows, slice) else self.source.at(rows)
@@ -63,30 +60,26 @@ class Record:
     """Samples of a table on an even grid.
 
     Attributes:
-        values: samples in the units of the table; nan where one is missing.
+        rows: samples, nan where one is missing, and auxiliary columns.
         lost: which samples are missing and to be filled in given the others.
         rate: sample rate [Hz].
-        auxiliary: other columns by name.
         others: other segments of the record, separated by missing samples.
-        places: number of the first sample of each of these, counted from that of `values`.
+        places: number of the first sample of each of these, counted from that of `rows`.
         gaps: where samples are missing between segments; None if that is unknown without time stamps.
         jitter: rms jitter of the time stamps [s]; None without time stamps.
         begun: UNIX time of the first sample [s], if the stamps tell it.
         notes: assumptions and findings that users should know.
-        source: origin of the samples.
     """
 
-    values: Values
-    lost: Bool[np.ndarray, "samples axes"]
+    rows: Rows
+    lost: Which
     rate: float
-    auxiliary: Mapping[str, Float[np.ndarray, " samples"]]
-    others: tuple[Values, ...]
+    others: tuple[Rows, ...]
     places: tuple[int, ...]
     gaps: tuple[Gap, ...] | None
     jitter: float | None
     begun: float | None
     notes: tuple[str, ...]
-    source: Source
 
     @classmethod
     def of(cls, table: Table, layout: Layout, columns: Columns, options: ReadOptions) -> "Record":
@@ -129,19 +122,8 @@ class Record:
         assert rate is not None
         begun = None if times.begun is None else times.begun + float(part.seconds[0])
         lost = np.isnan(part.values) if options.gaps == "fill" else part.absent
-        return cls(
-            part.values,
-            lost,
-            rate,
-            part.auxiliary,
-            tuple(other.values for other in others),
-            tuple(round(float(other.seconds[0] - part.seconds[0]) * rate) for other in others),
-            gaps,
-            jitter,
-            begun,
-            tuple(notes),
-            part.source,
-        )
+        places = [round(float(other.seconds[0] - part.seconds[0]) * rate) for other in others]
+        return cls(part, lost, rate, others, tuple(places), gaps, jitter, begun, tuple(notes))
 
 
 class Times(NamedTuple):
@@ -213,9 +195,7 @@ def _without_absent(part: Rows, layout: Layout) -> tuple[Rows, tuple[str, ...]]:
     return part, (*found.notes, f"{cut:,} rows at the ends without a sample of all sensors are left out")
 
 
-def _auxiliary(
-    column: Column, values: Float[np.ndarray, " rows"], source: Source
-) -> tuple[Float[np.ndarray, " rows"] | None, str]:
+def _auxiliary(column: Column, values: Channel, source: Source) -> tuple[Channel | None, str]:
     """Return an auxiliary column as floats, or None if it is text, and a note on it."""
     if not is_numeric(values):
         cell = str(values[0])[:40]
@@ -240,7 +220,7 @@ def _own(part: Rows, layout: Layout, options: ReadOptions) -> tuple[Rows, list[s
     return part if kept.all() else part.taken(kept), notes
 
 
-def own_rows(part: Rows, columns: Sequence[Column]) -> Bool[np.ndarray, " samples"]:
+def own_rows(part: Rows, columns: Sequence[Column]) -> Chosen:
     """Return the rows of a table in which its sensors were sampled.
 
     If several sensors share a table, a row repeats the previous values of those that were not sampled then,

@@ -9,6 +9,7 @@ from jaxtyping import Float, Int
 from allanjax.record.io.grid import regular_intervals
 from allanjax.record.io.table import Table
 from allanjax.record.io.times import MAX_RATE_DIFFERENCE
+from allanjax.record.shapes import Places
 from allanjax.record.units import Sensor
 from allanjax.record.validation import Source
 
@@ -31,7 +32,7 @@ class Series:
     """
 
     name: str
-    times: Int[np.ndarray, " samples"]
+    times: Places
     gyro: Float[np.ndarray, "samples 3"] | None = None
     accel: Float[np.ndarray, "samples 3"] | None = None
     auxiliary: Mapping[str, np.ndarray] = field(default_factory=dict)

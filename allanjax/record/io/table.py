@@ -14,6 +14,7 @@ from jaxtyping import Float, Shaped
 
 from allanjax.base.errors import AllanjaxError
 from allanjax.record.io.options import ReadOptions
+from allanjax.record.shapes import Cells
 from allanjax.record.units import SENSORS, Sensor
 from allanjax.record.validation import Source, bad_cells
 
@@ -21,10 +22,10 @@ from allanjax.record.validation import Source, bad_cells
 Columns: TypeAlias = tuple[Shaped[np.ndarray, " rows"], ...]
 #: Options that select one of several recordings in a file.
 CHOICES = ("topic", "instance")
-# Largest plausible compression factor of a file, that of deflate, the most common, is below 1033; and of one
-# that claims so many bytes, as nothing but constant numbers is compressed more.
-_EXPANSION, _LARGE = 1100, 1 << 30
-_EXPANSION_OF_LARGE = 100
+# Largest plausible factor of compression: that of deflate, the most common, is below 1033.
+_EXPANSION = 1100
+# In a file that claims so many bytes nothing but constant numbers is compressed by more than this factor.
+_LARGE, _EXPANSION_OF_LARGE = 1 << 30, 100
 
 
 @dataclass(frozen=True)
@@ -140,7 +141,7 @@ def damage_reported(source: Source, kind: str, remedy: str) -> Iterator[None]:
         raise source.error(f"cannot be read as {kind}: {reason}; {remedy}") from error
 
 
-def is_numeric(values: Shaped[np.ndarray, " samples"]) -> bool:
+def is_numeric(values: Cells) -> bool:
     """Return whether a column has a dtype of real numbers or booleans."""
     return values.dtype.kind in "fiub"
 
@@ -161,9 +162,7 @@ def floats(values: Shaped[np.ndarray, "*shape"]) -> Float[np.ndarray, "*shape"]:
         return values.astype(float, copy=False)
 
 
-def as_float(
-    values: Shaped[np.ndarray, " samples"], label: str, source: Source, gaps: bool = False
-) -> np.ndarray:
+def as_float(values: Cells, label: str, source: Source, gaps: bool = False) -> np.ndarray:
     """Return a column as floats; NaN is kept, and columns without any value; with `gaps`, empty cells."""
     if is_numeric(values):
         return floats(values)

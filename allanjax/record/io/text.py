@@ -31,8 +31,9 @@ _MOST_ZEROS = 1e-3
 _ZEROS = re.compile(rb"\0{16,}|\0+$")
 # Exponent of a number as Fortran writes it.
 _FORTRAN = re.compile(rb"(\d\.?)[Dd]([+-]\d\d)")
-# Lines that are no rows are left out up to this share of all, or up to so many; so many are quoted.
+# Lines that are no rows are left out up to this share of all, or up to so many.
 _MOST_OTHERS, _FEW_OTHERS = 0.01, 5
+# Lines that a message quotes.
 _QUOTED = 3
 
 

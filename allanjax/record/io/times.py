@@ -6,16 +6,15 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from jaxtyping import Float, Shaped
 
 from allanjax.record.columns import Column
 from allanjax.record.io.cells import is_number
 from allanjax.record.io.table import as_float, is_numeric
+from allanjax.record.shapes import Cells, Seconds
 from allanjax.record.units import convert, is_unit, same_unit
 from allanjax.record.validation import Source
 
-Seconds = Float[np.ndarray, " samples"]
-Stamps = Sequence[Shaped[np.ndarray, " samples"]]
+Stamps = Sequence[Cells]
 #: What stamps are: numbers in a unit, seconds and nanoseconds, dates, or times of the day.
 Kind = Literal["numbers", "pair", "dates", "clock"]
 
@@ -153,9 +152,7 @@ class Clock:
             return convert(float(_common_step(values)), self.unit, "s")
         return convert(_decimal_step(as_float(values, self.label, Source(self.label))), self.unit, "s")
 
-    def _dates(
-        self, values: Shaped[np.ndarray, " samples"], source: Source
-    ) -> Shaped[np.ndarray, " samples"]:
+    def _dates(self, values: Cells, source: Source) -> Cells:
         """Return stamps as datetime64[ns]."""
         dates = values
         if values.dtype.kind == "O":
@@ -167,7 +164,7 @@ class Clock:
         _check(np.isnat(dates), values, self.label, source)
         return dates.astype("datetime64[ns]")
 
-    def _of_day(self, values: Shaped[np.ndarray, " samples"], source: Source) -> Seconds:
+    def _of_day(self, values: Cells, source: Source) -> Seconds:
         """Return times of the day [s]."""
         import pandas as pd
 
@@ -180,9 +177,7 @@ class Clock:
         return np.asarray(hours * _HOUR + parts[1].astype(float) * 60.0 + seconds, float)
 
 
-def _check(
-    bad: Shaped[np.ndarray, " samples"], values: Shaped[np.ndarray, " samples"], label: str, source: Source
-) -> None:
+def _check(bad: Cells, values: Cells, label: str, source: Source) -> None:
     """Raise RecordingError if a stamp is no time."""
     if bad.any():
         first = int(np.argmax(bad))
@@ -212,7 +207,7 @@ def _date_format(text: str) -> str:
     return guess_datetime_format(text) or guess_datetime_format(text, dayfirst=True) or ""
 
 
-def _since_first(values: Shaped[np.ndarray, " samples"], label: str, source: Source) -> Seconds:
+def _since_first(values: Cells, label: str, source: Source) -> Seconds:
     """Return stamps minus the first: 19-digit integers lose digits as floats, their differences do not."""
     if is_numeric(values) and values.dtype.kind in "iu":
         return _unwrapped((values - values[0]).astype(np.int64)).astype(float)
@@ -221,7 +216,7 @@ def _since_first(values: Shaped[np.ndarray, " samples"], label: str, source: Sou
     return _unwrapped(numbers - numbers[0])
 
 
-def _unwrapped(counts: Shaped[np.ndarray, " samples"]) -> Shaped[np.ndarray, " samples"]:
+def _unwrapped(counts: Cells) -> Cells:
     """Return the continued counts of a counter that restarts from zero, even if samples are lost there."""
     steps = np.diff(counts)
     back = steps < 0
@@ -264,7 +259,7 @@ def _set_by_an_hour(times: Seconds, label: str) -> tuple[Seconds, tuple[str, ...
     return times - _HOUR * shift, (note,)
 
 
-def _common_step(values: Shaped[np.ndarray, " samples"]) -> int:
+def _common_step(values: Cells) -> int:
     """Return the greatest common divisor of the differences of whole numbers."""
     return int(np.gcd.reduce(np.diff(values).astype(np.int64)))
 
@@ -284,7 +279,7 @@ def _decimal_step(values: Seconds) -> float:
 
 def _unit(
     column: Column,
-    values: Shaped[np.ndarray, " samples"],
+    values: Cells,
     time_unit: str | None,
     rate: float | None,
     source: Source,
