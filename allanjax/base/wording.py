@@ -1,4 +1,4 @@
-"""Numbers as text in one style: values with errors, intervals, limits, durations.
+"""Text in one style: values with errors, intervals, limits, durations; options that messages name.
 
 An error has two significant digits; its value and interval have as many decimals. Commas separate thousands.
 Only numbers below 0.001 or from 1e7 on have a power of ten, e.g. "1.20×10⁻⁶".
