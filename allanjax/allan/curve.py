@@ -193,8 +193,8 @@ def _axes(named: Sequence[_Column], units: dict[Sensor, str | None], source: Sou
             given = [s for s in SENSORS if units[s]] or [s for s in SENSORS if _fits(column.unit, s)]
             if len(given) != 1 or len(named) > 1:
                 raise source.error(
-                    f"column {column.label!r} does not say which axis it is; give gyro_unit= or accel_unit= "
-                    "(--gyro-unit, --accel-unit), or name it with columns=, e.g. 'tau,gyro_x'"
+                    f"column {column.label!r} does not say which axis it is; give gyro_unit= or accel_unit=, "
+                    "or name it with columns=, e.g. 'tau,gyro_x'"
                 )
             sensor = name = given[0]
         unit = units[sensor] or column.unit

@@ -1,4 +1,4 @@
-"""Numbers as text in one style: values with errors, intervals, limits, durations.
+"""Text in one style: values with errors, intervals, limits, durations; options that messages name.
 
 An error has two significant digits; its value and interval have as many decimals. Commas separate thousands.
 Only numbers below 0.001 or from 1e7 on have a power of ten, e.g. "1.20×10⁻⁶".
@@ -6,6 +6,7 @@ Only numbers below 0.001 or from 1e7 on have a power of ten, e.g. "1.20×10⁻�
 
 import math
 import re
+import shlex
 from collections.abc import Sequence
 
 # Numbers from _SMALL up to _LARGE are written without a power of ten.
@@ -15,6 +16,12 @@ _SUPERSCRIPT = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 
 # Control characters, halves of characters that a file system hands over, and marks that turn text around.
 _UNPRINTABLE = re.compile("[\x00-\x1f\x7f-\x9f\ud800-\udfff\u202a-\u202e\u2066-\u2069]")
+# An option of reading in a message, with its value if it has one; what is in quotes is not ours.
+_OPTION = re.compile(
+    r"(?<![\w=])(?:'[^']*'|\"[^\"]*\")"
+    r"|\b(rate|(?:gyro|accel|time)_unit|columns|time|start|stop|topic|instance|gaps|force)="
+    r"(?:'([^']*)'|([\d.]*\d)|True)?(?! \(--)"
+)
 
 
 def harmless(text: str) -> str:
@@ -24,6 +31,20 @@ def harmless(text: str) -> str:
         return " " if found[0].isspace() else found[0].encode("unicode_escape").decode()
 
     return _UNPRINTABLE.sub(safe, text)
+
+
+def with_commands(message: str) -> str:
+    """Return a message in which the option of commands follows each one of Python, `rate= (--rate)`, once."""
+    told: set[str] = set()
+
+    def both(found: re.Match[str]) -> str:
+        if found[1] is None or found[0] in told:
+            return found[0]
+        told.add(found[0])
+        value = shlex.quote(found[2]) if found[2] else found[3] or ""
+        return f"{found[0]} ({f'--{found[1]} '.replace('_', '-')}{value}".rstrip() + ")"
+
+    return _OPTION.sub(both, message)
 
 
 def format_with_error(value: float, std: float) -> str:

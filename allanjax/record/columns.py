@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, ClassVar, Literal, Self, cast
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from allanjax.base.earth import STANDARD_GRAVITY
 from allanjax.base.errors import AllanjaxError, UnitError
@@ -56,6 +56,7 @@ _ACCURACY = re.compile(r"(?!imu|sensor|lin|[xyz]_)[a-z]+_acc")
 _PROCESSED = re.compile(r"_(?:cal|calibrated|uncal|uncalibrated|raw|comp|compensated)$")
 # Element of an array: `gyro_rad[0]`, or counted from 1 as in MATLAB, `gyro(1)`.
 _ELEMENTS = {"[0]": "_x", "[1]": "_y", "[2]": "_z", "(1)": "_x", "(2)": "_y", "(3)": "_z"}
+_ELEMENT = re.compile(r"(?:\[[012]\]|\([123]\))$")
 
 # Patterns of units within a name, as in `gyro_x_dps`, `gyro_rad_x`; PX4's gyro_rad is in rad/s.
 _UNIT_SUFFIXES = {
@@ -124,14 +125,13 @@ def recognise(label: str) -> Column:
     """Recognise a column by its label, e.g. `gyro_x [deg/s]`, `field.linear_acceleration.z`, `%time`."""
     label = harmless(label)
     stem, unit = split_unit(label)
-    element = next((end for end in _ELEMENTS if stem.endswith(end)), None)
-    words = _words(stem if element is None else stem.removesuffix(element) + _ELEMENTS[element])
-    words = _PROCESSED.sub("", words)
-    axis = None
+    words = _PROCESSED.sub("", _words(_ELEMENT.sub(lambda end: _ELEMENTS[end[0]], stem)))
     for suffix_unit, suffixes in _UNIT_SUFFIXES.items() if unit is None else ():
-        if match := re.fullmatch(rf"(.+)_(?:{suffixes})(_[xyz])?", words):
-            axis = axis or _axis(label, match[1] + (match[2] or ""), suffix_unit)
-    axis = axis or _axis(label, words, unit)
+        match = re.fullmatch(rf"(.+)_(?:{suffixes})(_[xyz]|)", words)
+        axis = match and _axis(label, match[1] + match[2], suffix_unit)
+        if axis:
+            return axis
+    axis = _axis(label, words, unit)
     return axis or _time(label, stem, words, unit) or Column(label, "auxiliary", stem, unit=unit)
 
 
@@ -165,6 +165,11 @@ def split_unit(label: str) -> tuple[str, str | None]:
     return (label, None) if not unit or unit.isdigit() else (match[1].strip(), unit)
 
 
+def with_unit(name: str, unit: str | None) -> str:
+    """Return `gyro_x [deg/s]`; the name alone if it has a unit, or there is none."""
+    return f"{name} [{unit}]" if unit and split_unit(name)[1] is None else name
+
+
 def _words(stem: str) -> str:
     """Return a name as lower-case words joined by underscores, e.g. for `GyroX`, `gyro.x` or `gyro[0]`."""
     stem = re.sub(r"(?<=[a-z])(?=[A-Z])", "_", stem)
@@ -178,14 +183,13 @@ def _axis(label: str, words: str, unit: str | None) -> Column | None:
     for sensor, alias in _ALIASES.items():
         for names, increment in ((alias, False), (_INCREMENTS[sensor], True)):
             match = (
-                re.fullmatch(rf"(?:.*_)?(?:{names})(?:_?([xyz])|_?(\d))?", words)
-                or re.fullmatch(rf"(?:.*_)?(?:{names})(?:\d+|_\w+)_?([xyz])()", words)
-                or re.fullmatch(rf"(?:.*_)?([xyz])_?(?:{names})()", words)
-                or (None if increment else re.fullmatch(rf"{_LETTERS[sensor]}_?([xyz])()", words))
+                re.fullmatch(rf"(?:.*_)?(?:{names})(?:_?([xyz\d]))?", words)
+                or re.fullmatch(rf"(?:.*_)?(?:{names})(?:\d+|_\w+)_?([xyz])", words)
+                or re.fullmatch(rf"(?:.*_)?([xyz])_?(?:{names})", words)
+                or (None if increment else re.fullmatch(rf"{_LETTERS[sensor]}_?([xyz])", words))
             )
             if match is not None:
-                axis = match[1] or match[2]
-                name = f"{sensor}_{axis}" if axis else sensor
+                name = f"{sensor}_{match[1]}" if match[1] else sensor
                 # Of a magnetometer it is gauss.
                 unit = "g" if unit == "G" and sensor == "accel" else unit
                 return Column(label, "axis", name, sensor, unit, increment)
@@ -201,7 +205,9 @@ def _time(label: str, stem: str, words: str, unit: str | None) -> Column | None:
     if _COUNTER.fullmatch(words):
         return Column(label, "counter", stem)
     suffix, part = _TIME_SUFFIX.fullmatch(words), _TIME_PART.fullmatch(words)
-    time_part = None if part is None else (part[1], "ns" if part[2].startswith("n") else "s")
+    time_part = None
+    if part is not None:
+        time_part = part[1], "ns" if part[2].startswith("n") else "s"
     if suffix is not None and _TIME.fullmatch(suffix[1]):
         return Column(label, "time", stem, unit=unit or suffix[2], time_part=time_part)
     if time_part is not None:
@@ -230,6 +236,11 @@ class DeadAxis:
 
     axis: Axis
     reason: str
+
+    @property
+    def note(self) -> str:
+        """A note that it was left out."""
+        return f"{self.axis.name} left out: {self.reason}"
 
     @classmethod
     def of(cls, axis: Axis, value: float) -> "DeadAxis":
@@ -263,7 +274,7 @@ def axes_of(
             nameless.setdefault(column.sensor, column)
     if nameless:
         options = [_unit_option(sensor, "", columns, samples) for sensor in nameless]
-        raise UnitError(f"{source.label}: {_without_unit(nameless, options, source)}")
+        raise source.unit_error(_without_unit(nameless, options, source))
     for column in named:
         sensor = cast(Sensor, column.sensor)
         given = units[sensor]
@@ -274,13 +285,12 @@ def axes_of(
         except UnitError as error:
             ours = f"column {column.label!r}: {error}; pass {option}"
             wrong = ours if given is None else f"{option}: {error}"
-            raise UnitError(f"{source.label}: {wrong}") from error
+            raise source.unit_error(wrong) from error
         if column.increment and unit.quantity == "rate" and given is None:
             usual = SI[sensor]["increment"]
-            raise UnitError(
-                f"{source.label}: column {column.label!r} holds increments by its name, but {unit.name} "
-                f"is a unit of rates; pass the unit that it has, such as {sensor}_unit='{usual}' "
-                f"(--{sensor}-unit {usual})"
+            raise source.unit_error(
+                f"column {column.label!r} holds increments by its name, but {unit.name} is a unit of rates; "
+                f"pass the unit that it has, such as {sensor}_unit='{usual}'"
             )
         axes.append(Axis(column.name, sensor, unit.name))
         labelled = recognise(column.label).unit
@@ -319,9 +329,7 @@ def _unit_option(sensor: Sensor, text: str, columns: Sequence[Column], samples: 
         if off[best] < _ABOUT_GRAVITY:
             found, why = best, f"in which they average gravity ({mean:.4g})"
     found = found.replace("²", "^2")
-    return f"{sensor}_unit=" + (
-        f"'{found}' (--{sensor}-unit {found}), {why}" if found else f" (--{sensor}-unit)"
-    )
+    return f"{sensor}_unit=" + (f"'{found}', {why}" if found else "")
 
 
 class OfAxes:
@@ -389,6 +397,12 @@ def scales_of(axes: Sequence[Axis], rate: float) -> Float[np.ndarray, " axes"]:
     return np.array([unit.scale * (rate if unit.quantity == "increment" else 1.0) for unit in units])
 
 
+def axes_by_sensor(columns: Sequence[Column]) -> dict[Sensor | None, Bool[np.ndarray, " axes"]]:
+    """Return which columns are of each sensor."""
+    sensors = [column.sensor for column in columns]
+    return {sensor: np.array([other == sensor for other in sensors]) for sensor in sensors}
+
+
 #: Names of columns in a message that asks for them.
 EXAMPLE = ("time", *(f"{sensor}_{axis}" for sensor in SENSORS for axis in "xyz"))
 
@@ -408,7 +422,7 @@ def default_names(
         return (sensors[0],)
     if sensors and count == 3 * len(sensors):
         return tuple(f"{sensor}_{axis}" for sensor in sensors for axis in "xyz")
-    stated = " and ".join(f"{sensor}_unit= (--{sensor}-unit)" for sensor in sensors) or "no unit"
+    stated = " and ".join(f"{sensor}_unit=" for sensor in sensors) or "no unit"
     raise source.error(
         f"{count} columns without names and {stated} given: the columns cannot be identified{seen}; "
         "name them with columns= (--columns; names= of an array), one entry per column, - skips one, e.g. "
@@ -419,15 +433,13 @@ def default_names(
 def distinct(columns: Sequence[Column], source: Source) -> tuple[Column, ...]:
     """Return the columns of axes; axes of several sensors of one kind keep the names in their labels."""
     if not columns:
-        raise source.error("no gyro or accelerometer column; name the columns with columns= (--columns)")
+        raise source.error("no gyro or accelerometer column; name the columns with columns=")
     count = Counter(column.name for column in columns)
     own = [replace(c, name=split_unit(c.label)[0]) if count[c.name] > 1 else c for c in columns]
     named: dict[str, Column] = {}
     for column in own:
         other = named.setdefault(column.name, column)
         if other is not column:
-            raise source.error(
-                f"columns {other.label!r} and {column.label!r} are both {column.name}; choose one with "
-                "columns= (--columns)"
-            )
+            both = f"columns {other.label!r} and {column.label!r} are both {column.name}"
+            raise source.error(f"{both}; choose one with columns=")
     return tuple(own)

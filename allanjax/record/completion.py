@@ -23,11 +23,10 @@ from scipy.fft import dct, idct, rfft
 from allanjax.base.arrays import seed_of
 from allanjax.base.errors import RecordingError
 from allanjax.base.wording import duration, percent, plain
+from allanjax.record.shapes import Channel, Chosen, Places, Values, Which
 
 
-def without_repeats(
-    values: Float[np.ndarray, "samples axes"], times: Float[np.ndarray, " samples"]
-) -> Bool[np.ndarray, " samples"]:
+def without_repeats(values: Values, times: Channel) -> Chosen:
     """Return which samples do not repeat the previous sample with the same time."""
     same = (values[1:] == values[:-1]) | (np.isnan(values[1:]) & np.isnan(values[:-1]))
     return np.concatenate([[True], ~(same.all(axis=1) & (np.diff(times) == 0.0))])
@@ -64,7 +63,7 @@ class Segments(NamedTuple):
     longest: slice
     others: tuple[slice, ...]
 
-    def gaps(self, times: Float[np.ndarray, " samples"], rate: float) -> tuple[Gap, ...]:
+    def gaps(self, times: Channel, rate: float) -> tuple[Gap, ...]:
         """Return the gaps between the segments, given the times [s] of all samples and their rate [Hz]."""
         places = np.rint((times - times[self.longest.start]) * rate).astype(int)
         ends = places[[rows.stop - 1 for rows in self.every[:-1]]] + 1
@@ -83,9 +82,7 @@ class Segments(NamedTuple):
         )
 
 
-def segments_of(
-    values: Float[np.ndarray, "samples axes"], after_gap: Bool[np.ndarray, " samples"]
-) -> Segments:
+def segments_of(values: Values, after_gap: Chosen) -> Segments:
     """Return the segments without missing samples.
 
     An axis without any value is ignored. `after_gap` are the samples that follow missing ones.
@@ -97,21 +94,17 @@ def segments_of(
     if not first.size:
         return Segments((), slice(0, 0), ())
     # A segment ends where the next begins, or at the first incomplete sample after it.
-    ends = np.append(first[1:], len(values))
-    lengths = np.add.reduceat(whole.astype(int), first)
-    rows = [
-        slice(begin, min(begin + length, end))
-        for begin, length, end in zip(first.tolist(), lengths.tolist(), ends.tolist(), strict=True)
-    ]
-    order = sorted(range(len(rows)), key=lambda k: rows[k].start - rows[k].stop)
-    kept = [k for k in order[1:_MOST] if rows[k].stop - rows[k].start >= _LEAST]
-    return Segments(tuple(rows), rows[order[0]], tuple(rows[k] for k in sorted(kept)))
+    ends = first + np.add.reduceat(whole.astype(int), first)
+    rows = tuple(map(slice, first.tolist(), ends.tolist()))
+    order = np.argsort(first - ends, kind="stable").tolist()
+    kept = sorted(k for k in order[1:_MOST] if ends[k] - first[k] >= _LEAST)
+    return Segments(rows, rows[order[0]], tuple(rows[k] for k in kept))
 
 
 def on_grid(
-    values: Float[np.ndarray, "samples axes"],
-    auxiliary: Mapping[str, Float[np.ndarray, " samples"]],
-    places: Int[np.ndarray, " samples"],
+    values: Values,
+    auxiliary: Mapping[str, Channel],
+    places: Places,
 ) -> tuple[Float[np.ndarray, "n axes"], dict[str, Float[np.ndarray, " n"]]]:
     """Return samples on an even grid, nan where missing; auxiliary channels are interpolated."""
     n = int(places[-1]) + 1
@@ -123,7 +116,7 @@ def on_grid(
     return full, {name: np.interp(grid, places, column) for name, column in auxiliary.items()}
 
 
-def gaps_of(missing: Bool[np.ndarray, "samples axes"]) -> tuple[Gap, ...]:
+def gaps_of(missing: Which) -> tuple[Gap, ...]:
     """Return the gaps in which samples of at least one axis are missing."""
     return tuple(Gap(first, end - first) for first, end in runs_of(np.asarray(missing.any(axis=1))).tolist())
 
@@ -153,9 +146,11 @@ def rows_between(samples: int, rate: float, start: float | None, stop: float | N
 
 #: Largest share of an axis's samples that is completed.
 MOST_MISSING = 0.3
-# Spectrum and samples in turn: at most so often, until the logarithm of the spectrum, averaged over so many
-# bands, changes by less than this. Behind a filter, the straight lines of the first turn are far above it.
-_TURNS, _BANDS, _SETTLED = 20, 64, 0.05
+# Spectrum and samples are computed in turn, at most so often, until the logarithm of the spectrum changes by
+# less than this. Behind a filter, the straight lines of the first turn are far above it.
+_TURNS, _SETTLED = 20, 0.05
+# Bands over which the logarithm is averaged.
+_BANDS = 64
 # Frequencies on either side over which the spectrum is averaged: so many, and this share of the frequency.
 _FEWEST, _SHARE = 4, 0.01
 # Conjugate gradients: most steps, and the negligible part of d'C⁻¹d.
@@ -164,7 +159,7 @@ _STEPS, _EXACT = 100, 1e-3
 GAPS_AT_ONCE = 256
 
 
-def widening(missing: Bool[np.ndarray, "samples axes"]) -> Float[np.ndarray, " axes"]:
+def widening(missing: Which) -> Float[np.ndarray, " axes"]:
     """Return the factor for each axis by which standard deviations exceed those of a complete record.
 
     With a share f missing, n(1 − f) samples determine the noise level; the draws at that level add the
@@ -175,9 +170,7 @@ def widening(missing: Bool[np.ndarray, "samples axes"]) -> Float[np.ndarray, " a
     return np.sqrt(1.0 / (1.0 - share) + share)
 
 
-def completed(
-    values: Float[np.ndarray, "samples axes"], missing: Bool[np.ndarray, "samples axes"]
-) -> Float[np.ndarray, "samples axes"]:
+def completed(values: Values, missing: Which) -> Values:
     """Return the samples with the missing ones drawn given the others, which are unchanged.
 
     The same record is always completed in the same way.
@@ -224,7 +217,7 @@ def bridged(x: Float[np.ndarray, " n"], missing: Bool[np.ndarray, " n"]) -> Floa
     return full
 
 
-def notes_on(missing: Bool[np.ndarray, "samples axes"], rate: float, names: Sequence[str]) -> tuple[str, ...]:
+def notes_on(missing: Which, rate: float, names: Sequence[str]) -> tuple[str, ...]:
     """Return notes on how many samples were missing and filled in, and on the lengths of the gaps."""
     groups: dict[bytes, list[int]] = {}
     for k in np.flatnonzero(missing.any(axis=0)):

@@ -14,7 +14,7 @@ def between_changes(channel: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]
 
     A slow quantity passes the middle of a rounding step when its rounded value changes, and a value that is
     read now and then is right when it changes. A curve through these points follows the quantity some ten
-    times more closely than the steps do; what is proportional to the rest would pass for slow noise. A
+    times more closely than the steps do, whose remainder would pass for slow noise. A
     channel that changes with most samples is returned as it is.
     """
     from scipy.interpolate import Akima1DInterpolator

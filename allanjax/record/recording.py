@@ -1,6 +1,6 @@
 """Static recordings of gyros and accelerometers."""
 
-import itertools
+import functools
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from types import MappingProxyType
@@ -13,7 +13,7 @@ from allanjax.base.equality import ByValue
 from allanjax.base.errors import RecordingError
 from allanjax.base.tables import as_html, columns_from, printable
 from allanjax.base.wording import duration
-from allanjax.record.columns import Axis, DeadAxis, scales_of
+from allanjax.record.columns import Axis, DeadAxis, scales_of, with_unit
 from allanjax.record.completion import (
     Gap,
     bridged,
@@ -27,7 +27,7 @@ from allanjax.record.io.kinds import of_one_kind
 from allanjax.record.io.layout import Layout
 from allanjax.record.io.memory import columns_of, real_numbers, table_of, table_of_array
 from allanjax.record.io.options import GapChoice, ReadOptions
-from allanjax.record.io.record import Record
+from allanjax.record.io.record import Record, notes_on_part
 from allanjax.record.io.table import Table
 from allanjax.record.units import SI, Sensor
 from allanjax.record.validation import (
@@ -38,6 +38,9 @@ from allanjax.record.validation import (
 
 if TYPE_CHECKING:
     import pandas as pd
+
+# A mapping that stays empty.
+_NONE = functools.partial(MappingProxyType, {})
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,10 +72,8 @@ class Recording(ByValue):
     values: Float[np.ndarray, "samples axes"]
     rate: float
     axes: tuple[Axis, ...]
-    auxiliary: Mapping[str, Float[np.ndarray, " samples"]] = field(
-        default_factory=lambda: MappingProxyType({})
-    )
-    auxiliary_units: Mapping[str, str] = field(default_factory=lambda: MappingProxyType({}))
+    auxiliary: Mapping[str, Float[np.ndarray, " samples"]] = field(default_factory=_NONE)
+    auxiliary_units: Mapping[str, str] = field(default_factory=_NONE)
     name: str = ""
     notes: tuple[str, ...] = ()
     dead: tuple[DeadAxis, ...] = ()
@@ -82,7 +83,7 @@ class Recording(ByValue):
     places: tuple[int, ...] = ()
     gaps: tuple[Gap, ...] | None = None
     begun: float | None = None
-    given: Mapping[Sensor, float] = field(default_factory=lambda: MappingProxyType({}))
+    given: Mapping[Sensor, float] = field(default_factory=_NONE)
 
     @classmethod
     def from_array(
@@ -167,12 +168,11 @@ class Recording(ByValue):
     def _columns(
         self, samples: Float[np.ndarray, "samples axes"], units: Sequence[str]
     ) -> dict[str, Float[np.ndarray, " samples"]]:
-        labels = [f"{axis.name} [{unit}]" for axis, unit in zip(self.axes, units, strict=True)]
-        auxiliary = {}
+        labels = map(with_unit, self.names, units)
+        columns = {"time [s]": self.time, **dict(zip(labels, samples.T, strict=True))}
         for name, column in self.auxiliary.items():
-            unit = self.auxiliary_units.get(name)
-            auxiliary[f"{name} [{unit}]" if unit else name] = column
-        return {"time [s]": self.time, **dict(zip(labels, samples.T, strict=True)), **auxiliary}
+            columns[with_unit(name, self.auxiliary_units.get(name))] = column
+        return columns
 
     def to_dataframe(self, si: bool = False) -> "pd.DataFrame":
         """Return a table with one row per sample and the `columns`, as input for `from_dataframe` or `fit`.
@@ -231,8 +231,7 @@ class Recording(ByValue):
             for dead in self.dead:
                 if key == dead.axis.name:
                     raise source.error(f"{key} was left out: {dead.reason}")
-            found = [i for i, axis in enumerate(self.axes) if axis.name == key]
-            found = found or [i for i, axis in enumerate(self.axes) if axis.sensor == key]
+            found = [i for i, axis in enumerate(self.axes) if key in (axis.name, axis.sensor)]
             if not found:
                 raise source.error(f"no axis {key!r}; axes are {', '.join(self.names)}")
             chosen += [i for i in found if i not in chosen]
@@ -260,12 +259,10 @@ class Recording(ByValue):
         """
         source = Source(self.name or "recording")
         rows = rows_between(self.n, self.rate, start, stop)
-        notes = [f"samples {rows.start:,} to {rows.stop - 1:,} of {self.n:,} read"]
-        values, axes, dead, left_out = _living(
-            self.values[rows], self.axes, self.own_scales, self.names, source
-        )
-        kept = [axis in axes for axis in self.axes]
-        missing = None if self.missing is None else self.missing[rows][:, kept]
+        notes = [*notes_on_part(rows, self.n, self.duration, source)]
+        values = self.values[rows]
+        kept, dead = _living(values, self.axes, self.own_scales, self.names, source)
+        missing = None if self.missing is None else self.missing[rows, kept]
         others, places = [], []
         for place, segment in zip(self.places, self.others, strict=False):
             ends = (None if time is None else time - place / self.rate for time in (start, stop))
@@ -274,39 +271,40 @@ class Recording(ByValue):
                 others.append(segment[own][:, kept])
                 places.append(place + own.start - rows.start)
         first = min((0, *places))
-        last = max(place + len(x) for place, x in zip((0, *places), (values, *others), strict=True))
+        sizes = map(len, (values, *others))
+        last = max(place + size for place, size in zip((0, *places), sizes, strict=True))
         if len(others) < len(self.others):
             notes.append(f"{len(self.others) - len(others)} of {len(self.others)} other segments left out")
         return replace(
             self,
-            values=values,
-            axes=axes,
+            values=values[:, kept],
+            axes=_without(dead, self.axes),
             missing=missing if missing is not None and missing.any() else None,
             others=tuple(others),
             places=tuple(places),
             gaps=gaps_within(self.gaps, rows.start + first, rows.start + last, rows.start),
             begun=None if self.begun is None else self.begun + rows.start / self.rate,
             auxiliary=MappingProxyType({key: column[rows] for key, column in self.auxiliary.items()}),
-            notes=(*self.notes, *notes, *left_out),
+            notes=(*self.notes, *notes, *(axis.note for axis in dead)),
             dead=(*self.dead, *dead),
         )
+
+    @property
+    def _size(self) -> str:
+        return f"{self.n} samples at {self.rate:g} Hz, {duration(self.duration)}"
 
     def __repr__(self) -> str:
         axes = ", ".join(f"{axis.name} [{axis.unit}]" for axis in self.axes)
         title = f" {self.name!r}" if self.name else ""
         dead = f"; without {', '.join(dead.axis.name for dead in self.dead)}" if self.dead else ""
-        size = f"{self.n} samples at {self.rate:g} Hz, {duration(self.duration)}"
-        return printable(f"<Recording{title}: {axes}; {size}{dead}>")
+        return printable(f"<Recording{title}: {axes}; {self._size}{dead}>")
 
     def _repr_html_(self) -> str:
         own = self.own_values
-        rows = [
-            (axis.name, axis.sensor, axis.unit, f"{mean:.6g}", f"{std:.6g}")
-            for axis, mean, std in zip(self.axes, own.mean(axis=0), own.std(axis=0), strict=True)
-        ]
-        size = f"{self.n} samples at {self.rate:g} Hz, {duration(self.duration)}"
+        every = zip(self.axes, own.mean(axis=0), own.std(axis=0), strict=True)
+        rows = [(axis.name, axis.sensor, axis.unit, f"{mean:.6g}", f"{std:.6g}") for axis, mean, std in every]
         table = columns_from(("axis", "sensor", "unit", "mean", "std"), rows)
-        return as_html(f"{self.name or 'Recording'}: {size}", [table], self.notes)
+        return as_html(f"{self.name or 'Recording'}: {self._size}", [table], self.notes)
 
 
 def recording_of(table: Table, name: str, options: ReadOptions) -> Recording:
@@ -319,14 +317,15 @@ def recording_of(table: Table, name: str, options: ReadOptions) -> Recording:
 
 def _recording(table: Table, layout: Layout, record: Record, name: str) -> Recording:
     """Make a recording of the axes that are not dead, with lost samples filled in given the others."""
-    axes, lost = layout.axes, record.lost
-    values, gaps = record.values, record.gaps
+    values, lost = record.rows.values, record.lost
+    gaps = record.gaps
     if lost.any():
         values = np.array([bridged(*column) for column in zip(values.T, lost.T, strict=True)]).T
     labels = [column.label for column in layout.columns]
-    values, axes, dead, left_out = _living(values, axes, np.ones(len(axes)), labels, record.source)
-    kept = [axis in axes for axis in layout.axes]
-    scales, lost = scales_of(axes, record.rate), lost[:, kept]
+    kept, dead = _living(values, layout.axes, np.ones(len(labels)), labels, record.rows.source)
+    values, lost = values[:, kept], lost[:, kept]
+    axes = _without(dead, layout.axes)
+    scales = scales_of(axes, record.rate)
     notes = (*table.notes, *layout.notes, *record.notes)
     if lost.any():
         values = completed(values, lost)
@@ -334,17 +333,18 @@ def _recording(table: Table, layout: Layout, record: Record, name: str) -> Recor
         gaps = gaps_of(lost)
     others, places = [], []
     for place, other in zip(record.places, record.others, strict=True):
-        if (np.ptp(other[:, kept], axis=0) > 0.0).all():
-            others.append(other[:, kept] * scales)
+        samples = other.values[:, kept]
+        if (np.ptp(samples, axis=0) > 0.0).all():
+            others.append(samples * scales)
             places.append(place)
     return Recording(
         values=values * scales,
         rate=record.rate,
         axes=axes,
-        auxiliary=MappingProxyType(dict(record.auxiliary)),
+        auxiliary=MappingProxyType(dict(record.rows.auxiliary)),
         auxiliary_units=MappingProxyType({c.name: c.unit for c in layout.auxiliary if c.unit}),
         name=name,
-        notes=(*notes, *left_out),
+        notes=(*notes, *(axis.note for axis in dead)),
         dead=dead,
         jitter=record.jitter,
         missing=lost if lost.any() else None,
@@ -362,13 +362,17 @@ def _living(
     scales: Float[np.ndarray, " axes"],
     labels: Sequence[str],
     source: Source,
-) -> tuple[Float[np.ndarray, "samples living"], tuple[Axis, ...], tuple[DeadAxis, ...], tuple[str, ...]]:
-    """Return the samples of living axes, these axes, the dead axes, and notes on these.
+) -> tuple[slice | Bool[np.ndarray, " axes"], tuple[DeadAxis, ...]]:
+    """Return which axes are alive, a slice if all are, and the dead ones.
 
     `scales` are the factors from the axes' own units to those of the samples.
     """
     living = check_values(values, labels, source)
     every = zip(axes, values[0] / scales, living, strict=True)
     dead = tuple(DeadAxis.of(axis, float(value)) for axis, value, lives in every if not lives)
-    notes = tuple(f"{d.axis.name} left out: {d.reason}" for d in dead)
-    return values[:, living] if dead else values, tuple(itertools.compress(axes, living)), dead, notes
+    return living if dead else slice(None), dead
+
+
+def _without(dead: Sequence[DeadAxis], axes: Sequence[Axis]) -> tuple[Axis, ...]:
+    """Return the axes that are not dead."""
+    return tuple(axis for axis in axes if axis not in [one.axis for one in dead])

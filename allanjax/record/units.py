@@ -26,6 +26,7 @@ Value = TypeVar("Value", float, np.ndarray)
 #: Sensors whose noise is analysed, and their names with an article.
 SENSORS: tuple[Sensor, ...] = ("gyro", "accel")
 _A: dict[Sensor, str] = {"gyro": "a gyro", "accel": "an accelerometer"}
+_OTHER: dict[Sensor, Sensor] = {"gyro": "accel", "accel": "gyro"}
 
 #: Units of samples, those of rates and those of increments, as messages list and displays write them.
 SAMPLE_UNITS: dict[Sensor, dict[Quantity, tuple[str, ...]]] = {
@@ -94,13 +95,11 @@ _SI_UNITS = (
     *("s", "Hz", "1"),
 )
 
-# Units that messages propose if the dimension is the same, including SI units and those of coefficients.
+# Units that messages propose if the dimension is the same.
 _PROPOSED = (
-    *("deg/√h", "deg/s/√Hz", "mdps/√Hz", "deg/h/√Hz", "rad/√s", "rad/s/√Hz"),
-    *("m/s/√h", "µg/√Hz", "mg/√Hz", "m/s²/√Hz", "m/s/√s"),
-    *("deg/h", "deg/s", "mdeg/s", "rad/s", "µg", "mg", "g", "m/s²", "m/s/h"),
-    *("deg/h/√h", "deg/s/√h", "deg/s/√s", "rad/s/√s", "µg/√h", "m/s/h/√h", "m/s²/√s"),
-    *("deg/h²", "rad/s²", "m/s/h²", "m/s³", "arcsec", "deg", "rad", "m/s", "s", "h", "Hz"),
+    *(unit for sensor in SENSORS for unit in _COEFFICIENT_UNITS[sensor].values()),
+    *("deg/s/√Hz", "mdps/√Hz", "deg/h/√Hz", "µg/√Hz", "mg/√Hz", "deg/s", "g", "deg", "h"),
+    *_SI_UNITS,
 )
 
 #: Number as people write it, for regular expressions.
@@ -110,14 +109,8 @@ _QUANTITY = re.compile(rf"\s*({NUMBER})\s*(.*?)\s*")
 _NUMBER = r"(?<![\w.^])(?:\d+(?:\.\d*)?|\.\d+)(?:[eE][+-]?\d+)?"
 
 # Words whose case has no meaning; not m, g and words with a prefix: M and G could be mega and giga.
-_ANY_CASE = {
-    word.lower(): word
-    for word in (
-        *("deg", "degree", "degrees", "rad", "radian", "radians", "arcsec", "arcmin", "dps", "rpm"),
-        *("s", "sec", "second", "seconds", "min", "minute", "minutes", "h", "hr", "hour", "hours"),
-        *("day", "days", "Hz", "Gal", "mGal", "uGal", "LSB", "count", "counts"),
-    )
-}
+_WORDS = ("s", "h", "mGal", "uGal", *re.findall(r"[A-Za-z]{2,}", _DEFINITIONS))
+_ANY_CASE = {word.lower(): word for word in _WORDS}
 
 _SUPERSCRIPTS = str.maketrans("⁰¹²³⁴⁵⁶⁷⁸⁹⁻", "0123456789-")
 _SYMBOLS = str.maketrans(
@@ -154,6 +147,12 @@ class _Unit(NamedTuple):
     scale: float
     dimension: dict[str, float]
 
+    @property
+    def base(self) -> str:
+        """Its dimension in words."""
+        powers = [f"{name}^{power:g}" for name, power in sorted(self.dimension.items())]
+        return "·".join(powers) or "dimensionless"
+
 
 @functools.cache
 def parse_sample_unit(text: str, sensor: Sensor) -> SampleUnit:
@@ -168,7 +167,7 @@ def parse_sample_unit(text: str, sensor: Sensor) -> SampleUnit:
     quantity = _quantity(unit, sensor)
     if unit is None or quantity is None:
         accepted = SAMPLE_UNITS[sensor]
-        other: Sensor = "accel" if sensor == "gyro" else "gyro"
+        other = _OTHER[sensor]
         hint = f"; {text!r} is a unit of {_A[other]}" if _quantity(unit, other) else ""
         if unit is not None and unit.dimension == {"[count]": 1.0}:
             hint = f"; for counts give the size of one, e.g. {COUNT_SIZES[sensor]}"
@@ -216,7 +215,8 @@ def si_unit(unit: str) -> str:
     Raises:
         UnitError: the unit is unknown.
     """
-    if per_channel := _PER_CHANNEL.fullmatch(unit):
+    per_channel = _PER_CHANNEL.fullmatch(unit)
+    if per_channel:
         return f"{si_unit(per_channel[1])}/{per_channel[2]}"
     known = _known(unit, None)
     usual = next((label for label in _SI_UNITS if _known(label, None).dimension == known.dimension), None)
@@ -256,13 +256,9 @@ def convert(value: Value, from_unit: str, to_unit: str, sensor: Sensor | None = 
     """
     source, target = _known(from_unit, sensor), _known(to_unit, sensor)
     if source.dimension != target.dimension:
-        labels = (
-            "·".join(f"{name}^{power:g}" for name, power in sorted(unit.dimension.items())) or "dimensionless"
-            for unit in (source, target)
-        )
         same = [u for u in _PROPOSED if u != from_unit and _known(u, None).dimension == source.dimension]
         raise UnitError(
-            f"cannot convert {from_unit!r} to {to_unit!r}: their dimensions are {' and '.join(labels)}; "
+            f"cannot convert {from_unit!r} to {to_unit!r}, of {source.base} and of {target.base}; "
             + (f"possible are {', '.join(same)}" if same else "give units of the same dimension")
         )
     return value * (source.scale / target.scale)
@@ -274,9 +270,10 @@ def parse_quantity(text: Any) -> tuple[float, str] | None:
     return (float(found[1]), found[2]) if found and found[2] else None
 
 
-def is_unit(text: str) -> bool:
-    """Whether a text is a known unit."""
-    return _parse(text) is not None
+def is_unit(text: str, like: str | None = None) -> bool:
+    """Whether a text is a known unit, of the same dimension as another one if that is given."""
+    unit = _parse(text)
+    return unit is not None and (like is None or unit.dimension == _known(like, None).dimension)
 
 
 def same_unit(one: str, other: str) -> bool:
@@ -306,9 +303,8 @@ def _known(text: str, sensor: Sensor | None) -> _Unit:
             f"unknown unit {text!r}; use e.g. deg/h, deg/√h, deg/h/√h, m/s/√h, µg, µg/√Hz, rad/s/√Hz"
         )
     if sensor is not None and _FOREIGN_DIMENSION[sensor] in unit.dimension:
-        other: Sensor = "accel" if sensor == "gyro" else "gyro"
         raise UnitError(
-            f"unit {text!r} is for {_A[other]}, not for {_A[sensor]}; "
+            f"unit {text!r} is for {_A[_OTHER[sensor]]}, not for {_A[sensor]}; "
             f"use e.g. {', '.join(_COEFFICIENT_UNITS[sensor].values())}"
         )
     return unit
@@ -319,7 +315,8 @@ def _parse(text: str) -> _Unit | None:
     """Unit named by `text`, or None if it is unknown."""
     import pint
 
-    if per_channel := _PER_CHANNEL.fullmatch(text):
+    per_channel = _PER_CHANNEL.fullmatch(text)
+    if per_channel:
         own = _parse(per_channel[1])
         return own and _Unit(own.scale, {**own.dimension, f"channel {per_channel[2]}": -1.0})
     expression = _expression(text)
@@ -369,8 +366,9 @@ def _is_product(expression: str) -> bool:
     factor = rf"(?:[A-Za-z]+|{_NUMBER})\^?"
     product = rf"{factor}(?:[*/]{factor})*"
     expression = re.sub(rf"\*\*(?:{number}|\({number}(?:/{number})?\))", "^", expression)
-    while (reduced := re.sub(rf"\({product}\)", "u", expression)) != expression:
-        expression = reduced
+    found = 1
+    while found:
+        expression, found = re.subn(rf"\({product}\)", "u", expression)
     return re.fullmatch(product, expression) is not None
 
 

@@ -7,8 +7,9 @@ from typing import Any
 import numpy as np
 from jaxtyping import Bool, Float, Shaped
 
-from allanjax.base.errors import RecordingError
-from allanjax.base.wording import harmless
+from allanjax.base.errors import RecordingError, UnitError
+from allanjax.base.wording import harmless, with_commands
+from allanjax.record.shapes import Channel, Values
 
 MIN_SAMPLES = 16
 """Fewest samples that make a recording."""
@@ -45,18 +46,26 @@ class Source:
 
     def error(self, message: str, about: str = "") -> RecordingError:
         """Return a RecordingError whose message begins with the label; see there for `about`."""
-        return RecordingError(f"{harmless(self.label)}: {message}", about)
+        return RecordingError(f"{harmless(self.label)}: {with_commands(message)}", about)
+
+    def no_rows(self) -> RecordingError:
+        """Return the RecordingError for a source without rows."""
+        return self.error("the file is empty (no rows); give one with a row of numbers per sample")
+
+    def unit_error(self, message: str) -> UnitError:
+        """Return a UnitError whose message begins with the label."""
+        return UnitError(f"{harmless(self.label)}: {with_commands(message)}")
 
 
 def check_rate(rate: float, source: Source) -> float:
     """Sample rate in Hz as a float; RecordingError if it is not a positive finite number."""
     value = np.asarray(rate)
     if value.ndim or value.dtype.kind not in "iuf" or not 0.0 < value < np.inf:
-        raise source.error(f"the sample rate must be positive, in Hz, not {rate!r}; pass rate= (--rate)")
+        raise source.error(f"the sample rate must be positive, in Hz, not {rate!r}; pass rate=")
     return float(rate)
 
 
-def as_columns(values: Float[np.ndarray, "*shape"], source: Source) -> Float[np.ndarray, "samples axes"]:
+def as_columns(values: Float[np.ndarray, "*shape"], source: Source) -> Values:
     """Return samples as one column per axis; RecordingError if they have another shape."""
     table = values[:, None] if values.ndim == 1 else values
     if table.ndim != 2 or table.shape[1] == 0:
@@ -83,16 +92,14 @@ def check_length(samples: int, source: Source, is_part: bool = False) -> None:
     if samples < MIN_SAMPLES:
         remedy = "use a longer recording"
         if is_part:
-            remedy = "read a longer part with start= and stop= (--start, --stop)"
+            remedy = "read a longer part with start= and stop="
         raise source.error(
             f"too short: {samples} samples, but at least {MIN_SAMPLES} are needed (thousands for a useful "
             f"fit); {remedy}"
         )
 
 
-def check_values(
-    values: Float[np.ndarray, "samples axes"], labels: Sequence[str], source: Source
-) -> Bool[np.ndarray, " axes"]:
+def check_values(values: Values, labels: Sequence[str], source: Source) -> Bool[np.ndarray, " axes"]:
     """Check samples, one column per label, and return which columns are alive; the others are dead.
 
     A dead column never changes or has no usable number.
@@ -121,7 +128,7 @@ def usable(values: Float[np.ndarray, "*shape"]) -> Bool[np.ndarray, "*shape"]:
     return np.abs(values) <= LARGEST
 
 
-def check_finite(column: Float[np.ndarray, " samples"], label: str, source: Source) -> None:
+def check_finite(column: Channel, label: str, source: Source) -> None:
     """Raise `RecordingError` if a value of the column is unusable; see `check_values`."""
     if not abs(column).max() <= LARGEST:
         bad = np.flatnonzero(~usable(column))
@@ -143,11 +150,10 @@ def bad_cells(label: str, count: int, first: int, source: Source, text: str | No
     value = f"{text or source.missing} instead of a finite number within ±{LARGEST:.0e}"
     more = f", and {count - 1} more" if count > 1 else ""
     found = f"column {label!r}: {source.locate(first)} has {value}{more}; repair the file, "
-    part = "a part without bad values with start= and stop= (--start, --stop)"
+    part = "a part without bad values with start= and stop="
     if text is not None:
         return source.error(f"{found}or read {part}")
     return source.error(
-        f"{found}read {part} or the longest with gaps='segments' (--gaps segments), or fill in missing "
-        "values with gaps='fill' (--gaps fill)",
+        f"{found}read {part} or the longest with gaps='segments', or fill in missing values with gaps='fill'",
         "gaps",
     )

@@ -123,7 +123,7 @@ def test_words_come_in_any_order_and_the_last_value_counts():
     assert [entry["file"] for entry in checks] == files
     assert [entry["recording"]["rate_hz"] for entry in checks] == [100.0] * 3
     refused = run("check", "a.csv", "--columns", "-,gyro_x,-")
-    assert (refused.exit_code, "columns= has 3 entries" in refused.stderr) == (1, True)
+    assert (refused.exit_code, "columns= (--columns) has 3 entries" in refused.stderr) == (1, True)
     converted = ran("convert", -180, "deg/s", "--to", "m", "--to", "rad/s")
     assert converted == "-180 deg/s = -3.14159 rad/s\n"
     # The root of a density of power, which is (0.316 µg)²/Hz.

@@ -515,6 +515,7 @@ CALLS = [
     (lambda f: aj.read(f / "none.csv"), "no such file"),
     (lambda f: [lines("tau,gyro_x [deg/s]", *20 * ["1,2"])(f / "c.csv"), aj.read(f / "c.csv")], "read_curve"),
     (lambda f: [lines("")(f / "e.csv"), aj.read(f / "e.csv")], "empty"),
+    (lambda f: [write(f / "e.parquet", FRAME[:0]), aj.read_chunks(f / "e.parquet", **RATE)], "no rows"),
     (
         lambda f: [(f / "z.csv").write_bytes(b"a" * 600 + bytes(40) * 3), aj.read(f / "z.csv")],
         "row of numbers",
@@ -529,6 +530,7 @@ CALLS = [
     (lambda f: [(f / "d.npz").write_bytes(b"PK\3\4" + bytes(99)), aj.read(f / "d.npz")], "save it again"),
     (lambda f: [in_turn(f / "k.csv"), aj.read_chunks(f / "k.csv", columns="gyro")], "several kinds"),
     (lambda f: aj.convert(1.0, "what", "deg/h"), "deg/h", aj.UnitError),
+    (lambda f: aj.convert(1.0, "deg/s", "s"), "deg/h", aj.UnitError),
     (lambda f: aj.convert(1.0, "m/s^2", "deg/h", "gyro"), "for an accelerometer", aj.UnitError),
 ]
 # Messages that no case here makes, by file and words, and why.

@@ -10,7 +10,7 @@ from unittest import mock
 import allanjax as aj
 
 _ROOT = Path(aj.__file__).parent
-_MAKERS = {"error", "_error", "RecordingError", "UnitError", "AllanjaxError"}
+_MAKERS = {"error", "unit_error", "no_rows", "_error", "RecordingError", "UnitError", "AllanjaxError"}
 
 #: A place: the file, and the first and the last line of the call that makes the error.
 Place = tuple[str, int, int]

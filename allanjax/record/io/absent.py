@@ -4,24 +4,25 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float
 
 from allanjax.base.wording import plain
-from allanjax.record.columns import Column
+from allanjax.record.columns import Column, axes_by_sensor
 from allanjax.record.completion import runs_of
+from allanjax.record.shapes import Channel, Chosen, Values, Which
 from allanjax.record.units import Sensor
 
-Values = Float[np.ndarray, "samples axes"]
-Which = Bool[np.ndarray, "samples axes"]
-
-# A marker is farther from all other samples than this many of their standard deviations and steps, occurs so
-# often, and no other sample is as much as half as far.
-_FAR, _LEAST, _HALF = 20.0, 3, 0.5
+# A marker is farther from all other samples than so many of their standard deviations (or steps, if these are
+# larger), and occurs so often.
+_FAR, _LEAST = 20.0, 3
+# All other samples are nearer to their middle than this share of its distance.
+_HALF = 0.5
 # Share of the rows with a marker in which other axes have it, too, if all are written at once.
 _AT_ONCE = 0.9
-# Probability that samples of a sensor that is alive are equal as often in a row, in a whole record; the
-# fewest that count; and the probability of equal neighbours that is assumed at least.
-_CHANCE, _SHORTEST, _EQUAL = 1e-9, 32, 1e-3
+# Equal samples in a row are held ones if there are so many, and a sensor that is alive has them in a record
+# with less than this probability.
+_SHORTEST, _CHANCE = 32, 1e-9
+# Least probability of equal neighbours that is assumed.
+_EQUAL = 1e-3
 # Largest share of held samples within a record that are left out.
 _MOST_HELD = 0.05
 # Share of equal neighbours above which a sensor is slower than its rows.
@@ -79,17 +80,13 @@ def without_samples(values: Values, columns: Sequence[Column]) -> Absent:
             f"others: {what}; left out"
         )
     shifted = np.where(at, np.nan, values) if at.any() else values
-    axes_of: dict[Sensor | None, Bool[np.ndarray, " axes"]] = {}
-    for column in columns:
-        axes_of[column.sensor] = np.array([other.sensor == column.sensor for other in columns])
-    for sensor, own in axes_of.items():
+    for sensor, own in axes_by_sensor(columns).items():
         unwrapped, wrapped_notes = _unwrapped(shifted[:, own], sensor)
         if wrapped_notes:
             shifted = np.array(shifted)
             shifted[:, own] = unwrapped
             notes += wrapped_notes
-    for sensor, own in axes_of.items():
-        held = _held(shifted[:, own])
+        held = _held(unwrapped)
         if held.any():
             at[:, own] |= held[:, None]
             lengths = np.diff(runs_of(held))[:, 0]
@@ -100,7 +97,7 @@ def without_samples(values: Values, columns: Sequence[Column]) -> Absent:
     return Absent(shifted, at, tuple(notes))
 
 
-def _marker(x: Float[np.ndarray, " samples"]) -> float | None:
+def _marker(x: Channel) -> float | None:
     """Return the value that marks a missing sample of an axis; None if there is none."""
     low, high = _ends(x)
     if not low < high:
@@ -121,19 +118,19 @@ def _marker(x: Float[np.ndarray, " samples"]) -> float | None:
     return None
 
 
-def _ends(x: Float[np.ndarray, " samples"]) -> tuple[float, float]:
+def _ends(x: Channel) -> tuple[float, float]:
     """Return the least and the largest number; equal ones if there is none, or one is not finite."""
     low, high = float(np.fmin.reduce(x)), float(np.fmax.reduce(x))
     return (low, high) if np.isfinite(high - low) else (0.0, 0.0)
 
 
-def _step(x: Float[np.ndarray, " samples"]) -> float:
+def _step(x: Channel) -> float:
     """Return the smallest difference between values; 0 if all are equal."""
     gaps = np.diff(np.unique(x[:_LOOKED_AT]))
     return float(gaps.min()) if len(gaps) else 0.0
 
 
-def _held(values: Values) -> Bool[np.ndarray, " samples"]:
+def _held(values: Values) -> Chosen:
     """Return which samples of a sensor repeat those before so often in a row that it was not sampled."""
     same = np.concatenate([[False], (values[1:] == values[:-1]).all(axis=1)])
     runs = runs_of(same)
@@ -176,7 +173,7 @@ def _unwrapped(values: Values, sensor: Sensor | None) -> tuple[Values, list[str]
     ]
 
 
-def _turn(x: Float[np.ndarray, " samples"]) -> float:
+def _turn(x: Channel) -> float:
     """Return the range of the numbers of an axis if some of its samples have wrapped; else 0."""
     low, high = _ends(x)
     middle = 0.5 * (low + high)

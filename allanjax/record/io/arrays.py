@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from allanjax.record.columns import split_unit
+from allanjax.record.columns import split_unit, with_unit
 from allanjax.record.io.table import Columns, Format, Table, check_claim, damage_reported, optional_package
 from allanjax.record.validation import Source
 
@@ -79,10 +79,10 @@ def read_npz(path: Path, source: Source) -> Table:
                     npy = np.lib.format
                     old = npy.read_magic(stream) == (1, 0)
                     read_header = npy.read_array_header_1_0 if old else npy.read_array_header_2_0
-                    shape, _, dtype = read_header(stream)
+                    header = read_header(stream)
                 size = member.file_size
-                if math.prod(shape) * dtype.itemsize > size:
-                    claim = f"{member.filename!r} claims the shape {shape} but has {size} bytes"
+                if math.prod(header[0]) * header[2].itemsize > size:
+                    claim = f"{member.filename!r} claims the shape {header[0]} but has {size} bytes"
                     raise source.error(f"{claim}; save it again")
         with np.load(path, allow_pickle=False) as arrays:
             named = {name: arrays[name] for name in arrays.files}
@@ -136,7 +136,7 @@ def from_named(arrays: Mapping[str, np.ndarray], source: Source) -> Table:
             matrices += len(parts) > 1
             stem, unit = split_unit(name)
             ends = [f"_{end}" for end in ("xyz" if len(parts) == 3 else range(len(parts)))]
-            labels = [f"{stem}{end}" + (f" [{unit}]" if unit else "") for end in ends]
+            labels = [with_unit(f"{stem}{end}", unit) for end in ends]
             columns |= dict(zip([name] if len(parts) == 1 else labels, parts, strict=True))
     if not columns:
         raise source.error("no array of samples; save one column per axis, or gyro and accel [samples, 3]")
@@ -335,12 +335,11 @@ def read_tdms(path: Path, source: Source) -> Table:
                     )
                 name = channel.name if len(groups) == 1 else f"{group.name}.{channel.name}"
                 unit = str(channel.properties.get("unit_string", "")).strip()
-                label = f"{name} [{unit}]" if unit and split_unit(name)[1] is None else name
                 if len(channel):
-                    arrays[label] = channel[:]
+                    arrays[with_unit(name, unit)] = channel[:]
                     intervals.add(float(channel.properties.get("wf_increment", 0.0)))
-    if len(intervals) == 1 and (interval := intervals.pop()) > 0.0:
-        arrays["dt"] = np.array(interval)
+    if len(intervals) == 1 and min(intervals) > 0.0:
+        arrays["dt"] = np.array(intervals.pop())
     table = from_named(arrays, source)
     notes = [f"the file is damaged: {warning}" for warning in damage[:1]]
     return replace(table, notes=(*notes, *table.notes))

@@ -19,8 +19,7 @@ from allanjax.record.io.layout import Layout
 from allanjax.record.io.options import ReadOptions
 from allanjax.record.io.record import (
     Rows,
-    check_rows,
-    no_rate_error,
+    notes_on_part,
     own_rows,
     rows_of_times,
     stated_rate,
@@ -29,7 +28,6 @@ from allanjax.record.io.table import Columns, Table, as_float, is_numeric
 from allanjax.record.io.times import IGNORE, MAX_RATE_DIFFERENCE, Clock, Seconds
 from allanjax.record.units import Sensor
 from allanjax.record.validation import (
-    MIN_SAMPLES,
     Source,
     bad_cells,
     check_finite,
@@ -110,7 +108,7 @@ class ChunkedRecording:
             if absent.notes:
                 raise source.error(
                     f"{absent.notes[0]}; only read() (without --stream) does so: read a part with start= and "
-                    "stop= (--start, --stop), or all of it without --stream"
+                    "stop=, or all of it without --stream"
                 )
             if not count:
                 place, first = source, values[0].copy()
@@ -169,60 +167,43 @@ def chunks_of(table: Table, name: str, options: ReadOptions, chunk: int) -> Chun
         raise source.error(f"chunk must be at least 1 row, not {chunk}; 2**18 is usual")
     if options.allows_gaps:
         raise source.error(
-            "gaps= (--gaps) needs the whole record: read it with read() (without --stream), or read a part "
-            "without gaps with start= and stop= (--start, --stop)"
+            "gaps= needs the whole record: read it with read() (without --stream), or read a part without "
+            "gaps with start= and stop="
         )
     first = next(table.rows(chunk), None)
     if first is None:
-        raise table.no_rows()
+        raise source.no_rows()
     if of_one_kind(table, first, options)[0] is not table:
         raise source.error("rows of several kinds are read only by read() (without --stream)")
     layout = Layout.of(table, first, options)
-    rate, notes = stated_rate(table, options.rate)
-    part = _PartOfFile(table, layout, None, options.start, options.stop, chunk)
-    if layout.clock:
-        found = _timed(part, layout.stamps(first), first, rate, options)
-    elif rate is None:
-        raise no_rate_error(source, layout)
-    else:
-        found = _counted(part, rate)
+    rate, notes = stated_rate(table, layout, options.rate)
     if layout.auxiliary:
         notes += (f"not read: {', '.join(column.name for column in layout.auxiliary)}",)
-    every = (*layout.notes, *notes, *found.notes)
-    return ChunkedRecording(found.rate, layout.axes, name, found.n, layout.given, every, found.part)
+    part = _PartOfFile(table, layout, None, options.start, options.stop, chunk)
+    notes = (*layout.notes, *notes)
+    found = ChunkedRecording(rate or 0.0, layout.axes, name, table.n, layout.given, notes, part)
+    return _timed(found, rate, first, options) if layout.clock else _counted(found)
 
 
-@dataclass(frozen=True)
-class _Opened:
-    """Part of a file with its rate [Hz], notes, and number of samples if that is known."""
-
-    part: "_PartOfFile"
-    rate: float
-    notes: tuple[str, ...]
-    n: int | None
-
-
-def _counted(part: "_PartOfFile", rate: float) -> _Opened:
-    """Open samples without time stamps."""
-    n, source = part.table.n, part.table.source
+def _counted(found: ChunkedRecording) -> ChunkedRecording:
+    """Return a recording without time stamps with its number of samples, if that is known."""
+    part, n = found._part, found.n
     if n is None:
-        return _Opened(part, rate, (), None)
-    rows = rows_between(n, rate, part.start, part.stop)
-    check_rows(rows, n / rate, source)
-    check_length(rows.stop - rows.start, source, n >= MIN_SAMPLES)
-    whole = rows == slice(0, n)
-    notes = () if whole else (f"samples {rows.start:,} to {rows.stop - 1:,} of {n:,} read",)
-    return _Opened(part, rate, notes, rows.stop - rows.start)
+        return found
+    rows = rows_between(n, found.rate, part.start, part.stop)
+    notes = notes_on_part(rows, n, n / found.rate, part.table.source)
+    return replace(found, n=rows.stop - rows.start, _notes=(*found._notes, *notes))
 
 
 def _timed(
-    part: "_PartOfFile", stamps: Columns, first: Columns, rate: float | None, options: ReadOptions
-) -> _Opened:
-    """Open samples with time stamps, of which these are the first."""
-    table, layout = part.table, part.layout
-    source = table.source
+    found: ChunkedRecording, rate: float | None, first: Columns, options: ReadOptions
+) -> ChunkedRecording:
+    """Return a recording with the rate that the stamps in its first rows tell."""
+    part = found._part
+    layout, source = part.layout, part.table.source
+    stamps = layout.stamps(first)
     clock = Clock.of(layout.clock, stamps, options.time_unit, rate, source)
-    part = replace(part, clock=clock)
+    part = replace(part, clock=clock, step=clock.step(stamps))
     columns = [first[column.index] for column in layout.columns]
     if all(map(is_numeric, columns)):
         seconds, _ = clock.seconds(stamps, source)
@@ -232,16 +213,15 @@ def _timed(
             raise source.error("only read() (without --stream) leaves out rows that repeat previous values")
     times, place = part.first_times()
     check_length(len(times), place, part.is_cut)
-    step = clock.step(stamps)
-    grid = Stamps(times, step, clock.label, place, more=True).grid(
+    grid = Stamps(times, part.step, clock.label, place, more=True).grid(
         options.rate, gaps=False, uniform=options.uniform, force=options.force
     )
-    part = replace(part, stamped=grid.stamped, step=step)
-    if grid.even:
-        part = replace(part, layout=layout.without_clock)
+    part = replace(
+        part, stamped=grid.stamped, layout=replace(layout, clock=() if grid.even else layout.clock)
+    )
     note = grid.note + (f", from the first {part.chunk} samples" if len(times) == part.chunk else "")
-    n = table.n if part.start is None and part.stop is None else None
-    return _Opened(part, grid.rate, (*clock.notes, note), n)
+    notes, n = (*found._notes, *clock.notes, note), None if part.is_cut else found.n
+    return replace(found, rate=grid.rate, n=n, _notes=notes, _part=part)
 
 
 @dataclass(frozen=True)
@@ -306,8 +286,8 @@ class _PartOfFile:
 
     def _check_rate_kept(self, times: Seconds, source: Source) -> None:
         """Raise RecordingError if later times are unusable or have another rate than the first."""
-        assert self.clock is not None
-        assert self.stamped is not None
+        assert self.clock
+        assert self.stamped
         label = self.clock.label
         later = Stamps(times, self.step, label, source, more=True).grid(
             None, gaps=False, uniform=False, force=False
@@ -315,7 +295,7 @@ class _PartOfFile:
         if abs(later.stamped / self.stamped - 1.0) > MAX_RATE_DIFFERENCE:
             raise source.error(
                 f"column {label!r} has {self.stamped:.6g} Hz at first, but {later.stamped:.6g} Hz from "
-                f"{source.locate(0)} on; read a part with one rate with start= and stop= (--start, --stop), "
+                f"{source.locate(0)} on; read a part with one rate with start= and stop=, "
                 f"or {IGNORE}",
                 "rate",
             )

@@ -243,17 +243,19 @@ def _definitions(
     for start in heads[data[heads + 2] == _FMT]:
         message = data[start : start + _FMT_SIZE].tobytes()
         if len(message) == _FMT_SIZE:
-            name, characters, labels = (
-                message[part].partition(b"\0")[0].decode("latin-1")
-                for part in (slice(5, 9), slice(9, 25), slice(25, None))
-            )
-            names = [label.strip() for label in labels.split(",")]
+            name, characters = _text(message[5:9]), _text(message[9:25])
+            fields = [field.strip() for field in _text(message[25:]).split(",")]
             dtype = None
-            if set(characters) <= {*_TYPES} and len(names) == len({*names} - {""}) == len(characters):
-                dtype = np.dtype([(x, _TYPES[c]) for x, c in zip(names, characters, strict=True)])
+            if set(characters) <= {*_TYPES} and len(fields) == len({*fields} - {""}) == len(characters):
+                dtype = np.dtype([(x, _TYPES[c]) for x, c in zip(fields, characters, strict=True)])
             intact = dtype is not None and dtype.itemsize == message[4] - _HEAD
             definitions[message[3]] = name, dtype if intact else None
     return definitions
+
+
+def _text(part: bytes) -> str:
+    """Return the text in a part of a message."""
+    return part.partition(b"\0")[0].decode("latin-1")
 
 
 def _messages(
@@ -282,16 +284,16 @@ def _series(
     assert match is not None
     fields = [name for name in rows.dtype.names or () if rows.dtype[name].kind in "iuf"]
     clock = next((clock for clock in ("SampleUS", "TimeUS", "TimeMS") if clock in fields), None)
-    halves = {
-        sensor: np.column_stack([floats(rows[f"{label}{axis}"]) for axis in "XYZ"])
-        for sensor, label in (("gyro", "Gyr"), ("accel", "Acc"))
-        if {f"{label}{axis}" for axis in "XYZ"} <= {*fields}
-    }
+    halves: dict[str, Any] = {}
+    for sensor, label in (("gyro", "Gyr"), ("accel", "Acc")):
+        own = [f"{label}{axis}" for axis in "XYZ"]
+        if {*own} <= {*fields}:
+            halves[sensor] = np.column_stack([floats(rows[field]) for field in own])
     if clock is None or not halves:
         raise source.error(f"{name} lacks times or samples (it has {', '.join(fields)}); {_LOG_IMU}")
     times = rows[clock].astype(np.int64) * (10**6 if clock == "TimeMS" else 10**3)
     others = {"temperature [degC]": floats(rows["T"])} if "T" in fields else {}
-    whole = Series(match[1], times, halves.get("gyro"), halves.get("accel"), others)
+    whole = Series(match[1], times, **halves, auxiliary=others)
     numbers = rows["I"] if "I" in fields else np.full(len(rows), max(int(match[2] or 1) - 1, 0))
     return {(match[1], int(i)): whole.taken(numbers == i).in_order() for i in np.unique(numbers)}
 
@@ -314,9 +316,7 @@ def _chosen(
     kept = {key: series for key, series in found.items() if instance in (None, key[1])}
     if not kept:
         numbers = sorted({number for _, number in found})
-        raise source.error(
-            f"no instance {instance}; choose {', '.join(map(str, numbers))} with instance= (--instance)"
-        )
+        raise source.error(f"no instance {instance}; choose {', '.join(map(str, numbers))} with instance=")
     names = {name for name, _ in kept}
     if topic is None:
         fastest = max(kept, key=lambda key: kept[key].rate)[0]

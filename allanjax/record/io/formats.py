@@ -37,7 +37,7 @@ def format_of(path: Path, source: Source) -> Format:
     except OSError as error:
         raise source.error(f"cannot be opened: {error.strerror}; check its permissions") from error
     if not magic:
-        raise source.error("the file is empty; give a file with one row of numbers per sample")
+        raise source.no_rows()
     found = next(kind for kind in FORMATS if kind.matches(magic))
     if found is TEXT and b"\0" in magic:
         suffix = path.suffix.lower()

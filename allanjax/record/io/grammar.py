@@ -10,7 +10,7 @@ from dataclasses import dataclass, field, replace
 from importlib.resources import files
 from typing import Any, NamedTuple
 
-from allanjax.record.columns import recognise, split_unit
+from allanjax.record.columns import recognise, split_unit, with_unit
 from allanjax.record.io.cells import (
     delimiter_of,
     fits,
@@ -182,9 +182,9 @@ def grammar_of(texts: Sequence[str], file: str, source: Source) -> Grammar:
     Raises:
         RecordingError: they have no row of numbers; the message says what they have.
     """
-    head = [(number, text) for number, text in enumerate(texts[:FIRST_LINES])]
+    head = list(enumerate(texts[:FIRST_LINES]))
     if not any(text.strip() for text in texts):
-        raise source.error("the file is empty; give a file with one row of numbers per sample")
+        raise source.no_rows()
     found = _plain(head)
     if found is None or not _is_regular(found, texts):
         found = _of_messages(head) or found
@@ -249,11 +249,11 @@ class _Line(NamedTuple):
 def _plain(head: Sequence[Numbered]) -> Grammar | None:
     """Return the grammar of lines that are cells between delimiters; None if none of them is a row."""
     head = [(number, text) for number, text in head if text.strip(" ")]
-    has_commas = [_has_decimal_commas(text) for _, text in head]
     sep = _SEP.fullmatch(head[0][1])
-    lines = []
-    for (number, text), commas in itertools.islice(zip(head, has_commas, strict=True), int(bool(sep)), None):
-        bare = text.replace(",", ".") if commas else text
+    lines, has_commas = [], False
+    for number, text in head[1:] if sep else head:
+        bare = text.replace(",", ".") if _has_decimal_commas(text) else text
+        has_commas |= bare != text
         delimiter = sep[1] if sep else delimiter_of(bare)
         lines.append(_Line(number, bare, delimiter, split(bare, delimiter)))
     first = _first_row([line for line in lines if not is_comment(line.text)])
@@ -265,10 +265,10 @@ def _plain(head: Sequence[Numbered]) -> Grammar | None:
         first.number,
         len(first.cells),
         delimiter=first.delimiter,
-        decimal="," if any(has_commas) else ".",
+        decimal="," if has_commas else ".",
         comment="%" if is_percent else "#",
         numeric=tuple(k for k, cell in enumerate(first.cells) if is_number(cell)),
-        notes=("numbers with decimal commas",) if any(has_commas) else (),
+        notes=("numbers with decimal commas",) if has_commas else (),
     )
     return _with_names(found, before)
 
@@ -322,7 +322,7 @@ def _with_names(found: Grammar, before: Sequence[_Line]) -> Grammar:
         number, names = header
         units = _units([cells for n, cells in named if n > number])
         pairs = itertools.zip_longest(names, units[: len(names)], fillvalue="")
-        labels = tuple(f"{x} [{unit}]" if unit and not split_unit(x)[1] else x for x, unit in pairs)
+        labels = tuple(with_unit(name, unit) for name, unit in pairs)
         notes = found.notes + _skipped([line.text for line in plain if line.number < number])
         # Without units, all lines after the header are data.
         return replace(found, start=found.start if units else number + 1, labels=labels, notes=notes)

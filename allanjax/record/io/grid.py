@@ -7,6 +7,7 @@ different rates. What they exclude is refused, also where a user asks for it, un
 
 from contextlib import suppress
 from dataclasses import dataclass
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -15,7 +16,8 @@ from jaxtyping import Bool, Float, Int
 from allanjax.base.errors import RecordingError
 from allanjax.base.wording import percent, plain
 from allanjax.record.completion import MOST_MISSING
-from allanjax.record.io.times import IGNORE, MAX_RATE_DIFFERENCE, Seconds
+from allanjax.record.io.times import IGNORE, MAX_RATE_DIFFERENCE
+from allanjax.record.shapes import Chosen, Places, Seconds
 from allanjax.record.validation import MIN_SAMPLES, Source, check_length
 
 # An interval longer than the median by this factor is a gap if the stamps after it are half an interval later
@@ -25,24 +27,29 @@ _GAP, _ABOUT = 1.5, 8
 _MAX_JITTER = 0.2
 # If a larger share of the intervals is long, a message does not describe single gaps.
 _MANY_GAPS = 0.05
-# Distance from a whole multiple of the interval within which an interval is one; the least share of such
-# intervals; and the most intervals below half the usual one, per long one: a late stamp makes one of these.
-_NEAR_WHOLE, _MOSTLY, _EARLY = 0.2, 0.95, 0.25
+# Samples are missing if this share of the long intervals is this near to whole multiples of the usual one.
+_MOSTLY, _NEAR_WHOLE = 0.95, 0.2
+# A late stamp is followed by a short interval: the most of these, per long interval, if samples are missing.
+_EARLY = 0.25
 # Deviations from an even grid, in intervals, below which no sample can be missing.
 _WITHIN = 0.5
 # Share of stamps that go back, below which the clock was set.
 _SET = 0.01
-# Fewest intervals unlike the usual one that show whether they come as regularly as by rounding; and the
-# standard deviation of the distances between them, over their mean, from which they come at random.
+# Intervals unlike the usual one show by their distances whether they come from rounding: so many are needed,
+# and they come at random if the standard deviation of the distances is this share of their mean.
 _SHOWING, _AT_RANDOM = 10, 0.5
-# Resolution of stamps, in intervals, from which grids are sought by the line in the spectrum of the stamps;
-# steps in that spectrum; the power of a line, in that of chance; and stamps over which its phase is followed.
-_COARSE, _BINS, _LINE, _FOLLOWED, _SLACK = 0.15, 1 << 20, 50.0, 512, 1e-3
-# Stamps scatter about even times, and do not wander off as they would if samples were lost, if the mean
-# deviations from an even grid of so many parts of the record scatter less than this factor times those of
-# single stamps. The fewest stamps from which this can be told, and the least deviation of a quarter of them,
-# in intervals.
-_PARTS, _BOUNDED, _FEWEST, _SCATTER = 16, 0.5, 512, 0.1
+# Stamps with a coarser resolution than this, in intervals, show their rate as a line in their spectrum, which
+# has at most so many steps.
+_COARSE, _BINS = 0.15, 1 << 20
+# The power of a line, in that of chance; and so many stamps over which its phase is followed.
+_LINE, _FOLLOWED = 50.0, 512
+# Rounding of the numbers of steps in an interval.
+_SLACK = 1e-3
+# Stamps that scatter about even times do not wander off, as they would if samples were lost: the means of
+# their deviations over so many parts of the record scatter less than this factor times single deviations.
+_PARTS, _BOUNDED = 16, 0.5
+# So many stamps are needed to tell this, a quarter of which deviate by this part of an interval.
+_FEWEST, _SCATTER = 512, 0.1
 # Parts in which the interval is compared to find pieces of different rates, and the most pieces.
 _BLOCKS, _PIECES = 64, 5
 
@@ -62,7 +69,7 @@ class Grid(NamedTuple):
     rate: float
     note: str
     jitter: float
-    places: Int[np.ndarray, " samples"]
+    places: Places
     stamped: float
     even: bool = False
 
@@ -116,41 +123,50 @@ class Stamps:
             return self._even(rate, "for evenly spaced samples")
         pieces = self._pieces()
         if pieces:
-            raise self._error(self._of_pieces(pieces), "rate")
-        places, how = None, ""
-        if self._is_coarse():
-            how = self.why_even()
-            places = None if how else self._demodulated()
+            raise self.source.error(self._of_pieces(pieces), "rate")
+        if self._is_coarse:
+            if self.why_even:
+                return self._even(rate, self.why_even)
+            if self._demodulated is not None:
+                return self._with_lost(self._demodulated, rate, gaps)
             # Stamps that do not tell which samples are missing do not tell where to fill them in.
-            gaps = gaps and (places is not None or not self._beats())
-        if places is not None:
-            return self._with_lost(places, rate, gaps)
-        found = self._even(rate, how) if how else self._stamped(rate, gaps)
-        if isinstance(found, Grid):
-            return found
-        how = self.why_even()
-        if not how:
-            raise found
-        return self._even(rate, how)
+            gaps = gaps and not self._beats
+        try:
+            return self._stamped(rate, gaps)
+        except RecordingError:
+            if not self.why_even:
+                raise
+            return self._even(rate, self.why_even)
 
+    @cached_property
+    def _intervals(self) -> Float[np.ndarray, " intervals"]:
+        return np.diff(self.seconds)
+
+    @cached_property
+    def _typical(self) -> float:
+        """The median interval [s]."""
+        return float(np.median(self._intervals))
+
+    @cached_property
+    def _unlike(self) -> Int[np.ndarray, " unlike"]:
+        """The numbers of the intervals that differ from the usual one by more than rounding."""
+        return np.flatnonzero(abs(self._intervals - self._typical) > 0.5 * self.step)
+
+    @cached_property
     def _is_coarse(self) -> bool:
-        """Return whether intervals differ as the resolution of the stamps is not small beside them."""
-        intervals = np.diff(self.seconds)
-        typical = float(np.median(intervals))
-        if (intervals < 0.0).any():
-            return False
-        unlike = np.count_nonzero(abs(intervals - typical) > 0.5 * self.step)
-        return bool(self.step > _COARSE * np.mean(intervals) and unlike >= _SHOWING)
+        """Whether intervals differ as the resolution of the stamps is not small beside them."""
+        is_coarse = self.step > _COARSE * np.mean(self._intervals) and self._intervals.min() >= 0.0
+        return bool(is_coarse and len(self._unlike) >= _SHOWING)
 
+    @cached_property
     def _beats(self) -> bool:
-        """Return whether rounded intervals differ as regularly as rounding makes them, not as by loss."""
-        intervals = np.diff(self.seconds)
-        unlike = np.flatnonzero(abs(intervals - np.median(intervals)) > 0.5 * self.step)
-        spacings = np.diff(unlike)
-        return self._is_coarse() and bool(np.std(spacings) < _AT_RANDOM * np.mean(spacings))
+        """Whether rounded intervals differ as regularly as rounding makes them, not as by loss."""
+        spacings = np.diff(self._unlike)
+        return self._is_coarse and bool(np.std(spacings) < _AT_RANDOM * np.mean(spacings))
 
-    def _demodulated(self) -> Int[np.ndarray, " samples"] | None:
-        """Return the places of samples on a grid some of whose stamps are missing, all rounded to steps.
+    @cached_property
+    def _demodulated(self) -> Places | None:
+        """The places of samples on a grid some of whose stamps are missing, all rounded to steps.
 
         The spectrum of the stamps has a line at the rate, also where it is below the resolution's. It is
         sought from the mean rate up to that with the most samples missing, and the grid follows its phase.
@@ -187,83 +203,82 @@ class Stamps:
         # Each sample has a place of its own.
         return np.maximum.accumulate(places - np.arange(n)) + np.arange(n)
 
-    def _with_lost(self, places: Int[np.ndarray, " samples"], rate: float | None, gaps: bool) -> Grid:
+    def _with_lost(self, places: Places, rate: float | None, gaps: bool) -> Grid:
         """Return the grid of samples at these places, some of which are missing."""
-        lost = int(places[-1]) + 1 - len(places)
         if not gaps:
-            raise self._error(f"column {self.label!r}: {self._missing(lost)}", "gaps")
-        x = places - places.mean()
-        stamped = 1.0 / float(x @ self.seconds / (x @ x))
-        jitter = float(np.std(np.diff(self.seconds) - np.diff(places) / stamped))
-        note = f"{stamped:.9g} Hz from column {self.label!r}, jitter {format_jitter(jitter)}"
-        note = note if rate is None else f"{rate:.9g} Hz as given (stamps: {note})"
-        return Grid(rate or stamped, f"sample rate {note}", jitter, places, stamped)
+            raise self.source.error(self._missing(_lost_from(places)), "gaps")
+        stamped = 1.0 / _interval(self.seconds, places)
+        jitter = float(np.std(self._intervals - np.diff(places) / stamped))
+        return self._grid(rate, stamped, jitter, places)
 
-    def _stamped(self, rate: float | None, gaps: bool) -> "Grid | RecordingError":
-        """Return the grid if the stamps are nearly even, or the error if they are not."""
-        times = self.seconds
-        intervals = np.diff(times)
+    def _stamped(self, rate: float | None, gaps: bool) -> Grid:
+        """Return the grid if the stamps are nearly even; RecordingError if they are not."""
+        times, intervals = self.seconds, self._intervals
         if (intervals <= 0.0).any():
-            return self._error(self._backwards(), "jitter")
-        typical = float(np.median(intervals))
-        long = intervals > _GAP * typical
+            raise self.source.error(self._backwards(), "jitter")
+        long = intervals > _GAP * self._typical
         # If there are many, late stamps cannot be identified by their neighbours.
         if not gaps or np.mean(long) <= _MANY_GAPS:
             long = gaps_in(times)
-        how = self.why_even() if long.any() else ""
-        if how:
-            return self._even(rate, how)
+        if long.any() and self.why_even:
+            return self._even(rate, self.why_even)
         jitter, regular = float(np.std(intervals[~long])), float(np.mean(intervals[~long]))
         steps = np.where(long, np.maximum(np.rint(intervals / regular), 2.0), 1.0)
         on_grid, lost = float(np.std(intervals - steps * regular)), int(steps.sum()) - len(intervals)
         if gaps:
             jitter = on_grid
         filled = on_grid <= _MAX_JITTER * regular and lost <= MOST_MISSING * (lost + len(times))
-        drawn = lost if filled and not self._beats() else 0
+        drawn = lost if filled and not self._beats else 0
         if jitter > _MAX_JITTER * regular or (np.mean(long) > _MANY_GAPS and not gaps):
-            return self._error(self._irregular(long, lost, drawn, gaps), "jitter")
+            raise self.source.error(self._irregular(long, drawn, gaps), "jitter")
         if np.any(long) and not gaps:
-            return self._error(
-                f"{self._gap(np.flatnonzero(long), typical, drawn)}, or if no sample is missing, {IGNORE}",
-                "gaps",
-            )
+            gap = self._gap(np.flatnonzero(long), drawn)
+            raise self.source.error(f"{gap}, or if no sample is missing, {IGNORE}", "gaps")
         places = np.concatenate([[0], np.cumsum(steps)]).astype(int)
-        measured = int(places[-1]) / float(times[-1] - times[0])
-        note = f"{measured:.9g} Hz from column {self.label!r}, jitter {format_jitter(jitter)}"
-        if rate is not None:
-            differ = abs(measured / rate - 1.0) > MAX_RATE_DIFFERENCE
-            note = f"{rate:.9g} Hz as given, {'not' if differ else 'and'} {note}"
-        return Grid(rate or measured, f"sample rate {note}", jitter, places, measured)
+        return self._grid(rate, int(places[-1]) / float(times[-1] - times[0]), jitter, places)
 
     def _even(self, rate: float | None, how: str) -> Grid:
         """Return the grid of even samples at the mean rate of the stamps, or at the given rate."""
-        times = self.seconds
-        if not times[-1] > times[0]:
-            raise self._error(f"the times in column {self.label!r} do not increase; {IGNORE}", "jitter")
-        mean = 1.0 / self._interval()
-        note = f"{mean:.9g} Hz, the mean of column {self.label!r} {how}"
-        told = note if rate is None else f"{rate:.9g} Hz as given (stamps: {note})"
-        jitter = float(np.std(np.diff(times)))
-        return Grid(rate or mean, f"sample rate {told}", jitter, np.arange(len(times)), mean, even=True)
+        if not self.seconds[-1] > self.seconds[0]:
+            raise self.source.error(f"the times in column {self.label!r} do not increase; {IGNORE}", "jitter")
+        jitter, places = float(np.std(self._intervals)), np.arange(len(self.seconds))
+        return self._grid(rate, 1.0 / _interval(self.seconds), jitter, places, how)
 
+    def _grid(
+        self,
+        rate: float | None,
+        stamped: float,
+        jitter: float,
+        places: Places,
+        even: str = "",
+    ) -> Grid:
+        """Return the grid at the given rate, or else that of the stamps; `even` is why it is even, if so."""
+        how = f", the mean of column {self.label!r} {even}"
+        if not even:
+            how = f" from column {self.label!r}, jitter {format_jitter(jitter)}"
+        note = f"{stamped:.9g} Hz{how}"
+        if rate is not None:
+            differ = abs(stamped / rate - 1.0) > MAX_RATE_DIFFERENCE
+            note = f"{rate:.9g} Hz as given, {'not' if differ else 'and'} {note}"
+        return Grid(rate or stamped, f"sample rate {note}", jitter, places, stamped, bool(even))
+
+    @cached_property
     def why_even(self) -> str:
-        """Return why the samples must be even although their stamps are not, as part of a note; "" if not."""
+        """Why the samples must be even although their stamps are not, as part of a note; "" if not."""
         times, n = self.seconds, len(self.seconds)
         if not times[-1] > times[0]:
             return ""
-        interval = self._interval()
+        interval = _interval(times)
         off = times - times.mean() - interval * (np.arange(n) - 0.5 * (n - 1))
         spread = float(np.ptp(off))
-        intervals = np.diff(times)
-        unlike = np.count_nonzero(abs(intervals - np.median(intervals)) > 0.5 * self.step)
         # The line through the stamps is known to a part of their deviations. Few long intervals may as well
         # be missing samples.
-        if self.step and spread <= 1.1 * self.step and unlike >= _SHOWING:
+        if self.step and spread <= 1.1 * self.step and len(self._unlike) >= _SHOWING:
             return f"for even samples, whose stamps are rounded to {_short(self.step)}"
         # A missing sample would shift those after it by a whole interval.
         if spread < _WITHIN * interval:
             return f"for even samples, as all stamps are within {_short(spread)} of even ones"
-        if n < _FEWEST or self._unsteadiness() > MAX_RATE_DIFFERENCE or self._lost():
+        if n < _FEWEST or self._unsteadiness > MAX_RATE_DIFFERENCE or self._lost:
             return ""
         # One stamp in a thousand that is wrong is no scatter.
         usual = float(np.quantile(abs(off), 0.75))
@@ -272,25 +287,19 @@ class Stamps:
             return f"for even samples, whose stamps scatter by {_short(float(np.std(off)))} about even times"
         return ""
 
-    def _interval(self) -> float:
-        """Return the interval [s] of the straight line through the stamps."""
-        number = np.arange(len(self.seconds)) - 0.5 * (len(self.seconds) - 1)
-        return float(number @ self.seconds / (number @ number))
-
+    @cached_property
     def _lost(self) -> int:
-        """Return how many samples are missing if intervals are whole multiples of the usual one; else 0."""
-        if self._is_coarse():
-            places = self._demodulated()
-            if places is not None:
-                return int(places[-1]) + 1 - len(places)
-            if self._beats():
+        """How many samples are missing if intervals are whole multiples of the usual one; else 0."""
+        if self._is_coarse:
+            if self._demodulated is not None:
+                return _lost_from(self._demodulated)
+            if self._beats:
                 return 0
-        intervals = np.diff(self.seconds)
-        typical = float(np.median(intervals))
-        if not typical > 0.0:
+        intervals = self._intervals
+        if not self._typical > 0.0:
             return 0
         # The mean of single intervals is exact where these are rounded to steps.
-        typical = float(np.mean(intervals[abs(intervals / typical - 1.0) < 0.5]))
+        typical = float(np.mean(intervals[abs(intervals / self._typical - 1.0) < 0.5]))
         ratio = intervals / typical
         steps = np.rint(ratio)
         long, early = steps >= 2.0, ratio < 0.5
@@ -301,33 +310,31 @@ class Stamps:
 
     def _pieces(self) -> list[Piece]:
         """Return the pieces of a record whose rate changes a few times; [] if it is steady, or drifts."""
-        intervals = np.diff(self.seconds)
-        if len(intervals) < 4 * _BLOCKS or self._unsteadiness() <= MAX_RATE_DIFFERENCE:
+        intervals = self._intervals
+        if len(intervals) < 4 * _BLOCKS or self._unsteadiness <= MAX_RATE_DIFFERENCE:
             return []
-        usual = []
-        for block in np.array_split(intervals, _BLOCKS):
+        usual = np.zeros(_BLOCKS)
+        for k, block in enumerate(np.array_split(intervals, _BLOCKS)):
             typical = np.median(block)
-            usual.append(float(np.mean(block[abs(block - typical) <= 0.5 * typical])))
+            usual[k] = np.mean(block[abs(block - typical) <= 0.5 * typical])
         edges = np.linspace(0, len(intervals), _BLOCKS + 1).astype(int)
         # A block within which the rate changes has an interval of its own.
-        levels = [k for k in range(_BLOCKS - 1) if abs(usual[k + 1] / usual[k] - 1.0) < MAX_RATE_DIFFERENCE]
+        levels = np.flatnonzero(abs(np.diff(usual)) < MAX_RATE_DIFFERENCE * usual[:-1]).tolist()
         if len(levels) < _BLOCKS - 1 - 2 * _PIECES:
             return []
-        runs: list[list[int]] = [[levels[0]]]
-        for k in levels[1:]:
-            same = abs(usual[k] / float(np.mean([usual[j] for j in runs[-1]])) - 1.0) < MAX_RATE_DIFFERENCE
-            if same:
-                runs[-1].append(k)
-            else:
-                runs.append([k])
+        runs: list[list[int]] = []
+        for k in levels:
+            level = usual[runs[-1]].mean() if runs else np.inf
+            if not abs(usual[k] / level - 1.0) < MAX_RATE_DIFFERENCE:
+                runs.append([])
+            runs[-1].append(k)
         if not 2 <= len(runs) <= _PIECES:
             return []
         found, first = [], 0
         for run, following in zip(runs, [*runs[1:], None], strict=True):
-            end = len(self.seconds)
-            own = float(np.mean([usual[k] for k in run]))
+            own, end = float(usual[run].mean()), len(self.seconds)
             if following is not None:
-                other = float(np.mean([usual[k] for k in following]))
+                other = usual[following].mean()
                 between = slice(edges[run[-1]], edges[following[0] + 1])
                 is_other = abs(intervals[between] - other) < abs(intervals[between] - own)
                 # The place where most intervals before it are of one rate, and most after it of the other.
@@ -339,16 +346,13 @@ class Stamps:
 
     def _refuse_excluded(self) -> None:
         """Raise RecordingError if the stamps exclude that samples are evenly spaced."""
-        forced = "; if the stamps are wrong, add force=True (--force)"
+        forced = "; if the stamps are wrong, add force=True"
         pieces = self._pieces()
         if pieces:
-            raise self._error(f"{self._of_pieces(pieces)}{forced}", "rate")
-        lost = 0 if self.why_even() else self._lost()
-        if lost:
-            omit = "omit time='uniform' (--time uniform)"
-            raise self._error(
-                f"the samples are not evenly spaced: {self._lack(lost)}; {omit}{forced}", "gaps"
-            )
+            raise self.source.error(f"{self._of_pieces(pieces)}{forced}", "rate")
+        if self._lost and not self.why_even:
+            lack = f"the samples are not evenly spaced: {self._lack(self._lost)}"
+            raise self.source.error(f"{lack}; omit time='uniform'{forced}", "gaps")
 
     def _lack(self, lost: int) -> str:
         """Return that samples are missing, in words."""
@@ -361,11 +365,11 @@ class Stamps:
 
     def _missing(self, lost: int) -> str:
         """Return that samples are missing, and what to do, in words."""
-        text, share = self._lack(lost), lost / (lost + len(self.seconds))
-        segment = "read the longest part without with gaps='segments' (--gaps segments)"
+        text, share = f"column {self.label!r}: {self._lack(lost)}", lost / (lost + len(self.seconds))
+        segment = "read the longest part without with gaps='segments'"
         if share > MOST_MISSING:
             return f"{text}; at most {percent(MOST_MISSING)} can be filled in: {segment}"
-        return f"{text}; fill them in with gaps='fill' (--gaps fill), or {segment}"
+        return f"{text}; fill them in with gaps='fill', or {segment}"
 
     def _of_pieces(self, pieces: list[Piece]) -> str:
         """Return the rates of pieces, and how to read the longest, in words."""
@@ -375,53 +379,52 @@ class Stamps:
             until = "" if piece.end == len(times) else f" until {plain(times[piece.end - 1], 6)} s"
             told.append(f"{piece.rate:.4g} Hz{until}")
         longest = max(pieces, key=lambda piece: times[piece.end - 1] - times[piece.first])
-        cut = []
-        if longest.first:
-            cut.append(f"start={_after(times[longest.first]):.3f} (--start)")
-        if longest.end < len(times):
-            cut.append(f"stop={_before(times[longest.end - 1]):.3f} (--stop)")
         return (
             f"column {self.label!r} has {', then '.join(told)}, but a recording has one rate; read a part, "
-            f"the longest with {' and '.join(cut)}"
+            f"the longest with {self._part(longest.first, longest.end)}"
         )
 
-    def _irregular(self, long: Bool[np.ndarray, " n"], lost: int, drawn: int, gaps: bool) -> str:
+    def _part(self, first: int, end: int) -> str:
+        """Return the options that read only these samples."""
+        options = [_start(self.seconds[first])] if first else []
+        if end < len(self.seconds):
+            options.append(_stop(self.seconds[end - 1]))
+        return " and ".join(options)
+
+    def _irregular(self, long: Bool[np.ndarray, " n"], drawn: int, gaps: bool) -> str:
         """Return how irregular stamps are, and what to do, in words."""
-        intervals = np.diff(self.seconds)
-        column = f"column {self.label!r}"
-        missing = self._lost()
-        if missing and not gaps and not self.more:
-            return f"{column}: {self._missing(missing)}"
-        fill = "if samples are missing, fill them in with gaps='fill' (--gaps fill); "
+        may_fill = not gaps and not self.more
+        if self._lost and may_fill:
+            return self._missing(self._lost)
+        fill = "if samples are missing, fill them in with gaps='fill'; "
         return (
-            f"{column} is irregular: the mean interval is {np.mean(intervals):.6g} s, the rms jitter "
-            f"{np.std(intervals):.3g} s, and {percent(float(np.mean(long)))} of the intervals are gaps "
-            f"(longer than {_GAP} times the median); jitter up to {percent(_MAX_JITTER)} is accepted; "
-            f"{'' if missing else self._evenly()}"
-            f"{fill if drawn and not gaps and not self.more else ''}{IGNORE}; do not resample, which smooths "
-            "the noise"
+            f"column {self.label!r} is irregular: the mean interval is {np.mean(self._intervals):.6g} s, the "
+            f"rms jitter {np.std(self._intervals):.3g} s, and {percent(float(np.mean(long)))} of the "
+            f"intervals are gaps (longer than {_GAP} times the median); jitter up to {percent(_MAX_JITTER)} "
+            f"is accepted; {'' if self._lost else self._evenly()}{fill if drawn and may_fill else ''}{IGNORE}"
+            "; do not resample, which smooths the noise"
         )
 
+    @cached_property
     def _unsteadiness(self) -> float:
-        """Return the relative difference of the mean intervals of both halves, beyond that by jitter."""
+        """The relative difference of the mean intervals of both halves, beyond that by jitter."""
         times = self.seconds
         half, span = len(times) // 2, float(times[-1] - times[0])
         drift = abs(float(times[-1] - times[-1 - half]) - float(times[half] - times[0]))
-        beyond = max(drift - 4.0 * float(np.std(np.diff(times))), 0.0)
+        beyond = max(drift - 4.0 * float(np.std(self._intervals)), 0.0)
         return beyond / (0.5 * span) if span > 0.0 else np.inf
 
     def _evenly(self) -> str:
         """Return the remedy for evenly spaced samples with uneven stamps; "" if these may show others."""
-        if self._beats() or self._unsteadiness() > MAX_RATE_DIFFERENCE:
+        if self._beats or self._unsteadiness > MAX_RATE_DIFFERENCE:
             return ""
-        how = "pass time='uniform' (--time uniform); "
-        return f"if the samples are evenly spaced (at {1.0 / self._interval():.6g} Hz on average), {how}"
+        rate = f"{1.0 / _interval(self.seconds):.6g} Hz"
+        return f"if the samples are evenly spaced (at {rate} on average), pass time='uniform'; "
 
     def _backwards(self) -> str:
         """Return a message on stamps that repeat or go back, and what can be read instead."""
-        times = self.seconds
-        intervals, uniform = np.diff(times), self._evenly()
-        back = np.flatnonzero(intervals < 0.0)
+        times, intervals = self.seconds, self._intervals
+        uniform, back = self._evenly(), np.flatnonzero(intervals < 0.0)
         first = int(back[0] if back.size else np.argmax(intervals == 0.0)) + 1
         what, why = "repeats the previous time", "the stamps are too coarse"
         segments = ""
@@ -434,8 +437,7 @@ class Stamps:
                 Stamps(longest, self.step, self.label, self.source).grid(
                     None, gaps=False, uniform=False, force=False
                 )
-                segments = f"read the longest part without ({len(longest)} samples) with gaps='segments' "
-                segments += "(--gaps segments); "
+                segments = f"read the longest part without ({len(longest)} samples) with gaps='segments'; "
                 if len(back) < _SET * len(times):
                     # A clock that was set a few times is otherwise right.
                     why, uniform = "the clock was set", ""
@@ -444,45 +446,37 @@ class Stamps:
             f"total: {why}); {uniform}{segments}{IGNORE}"
         )
 
-    def _gap(self, gaps: Int[np.ndarray, " gaps"], typical: float, drawn: int) -> str:
+    def _gap(self, gaps: Int[np.ndarray, " gaps"], drawn: int) -> str:
         """Return a message on gaps after these samples, and what to read instead.
 
         `drawn` is how many missing samples can be filled in.
         """
         times, first = self.seconds, int(gaps[0])
-        before, after = times[first], times[first + 1]
+        gap = self._intervals[first]
         text = (
-            f"column {self.label!r} has a gap of {after - before:.6g} s ({(after - before) / typical:.3g} "
-            f"intervals) before {self.source.locate(first + 1)}"
+            f"column {self.label!r} has a gap of {gap:.6g} s ({gap / self._typical:.3g} intervals) before "
+            f"{self.source.locate(first + 1)}"
         )
         if self.more:
-            return (
-                f"{text}; read the part before it with stop={_before(before):.3f} (--stop) or after it with "
-                f"start={_after(after):.3f} (--start)"
-            )
-        edges = np.concatenate([[-1], gaps, [len(times) - 1]])
-        longest = int(np.argmax(np.diff(edges)))
-        begin, end = times[edges[longest] + 1], times[edges[longest + 1]]
+            stop, start = _stop(times[first]), _start(times[first + 1])
+            return f"{text}; read the part before it with {stop} or after it with {start}"
+        edges = np.concatenate([[0], gaps + 1, [len(times)]])
+        k = int(np.argmax(np.diff(edges)))
+        begin, end = edges[k : k + 2].tolist()
         remedies = []
-        if np.diff(edges)[longest] > MIN_SAMPLES:
+        if end - begin > MIN_SAMPLES:
             remedies.append(
-                f"read a part without gaps, the longest with start={_after(begin):.3f}, "
-                f"stop={_before(end):.3f} (--start, --stop) or gaps='segments' (--gaps segments)"
+                f"read a part without gaps, the longest with {self._part(begin, end)} or gaps='segments'"
             )
         if drawn:
-            fill = (
-                f"fill in the {drawn} missing of {drawn + len(times)} samples with gaps='fill' (--gaps fill)"
-            )
+            fill = f"fill in the {drawn} missing of {drawn + len(times)} samples with gaps='fill'"
             # Of many gaps the longest part between is short.
-            remedies.insert(0 if 2 * np.diff(edges)[longest] < len(times) else 1, fill)
+            remedies.insert(0 if 2 * (end - begin) < len(times) else 1, fill)
         count = "the only gap" if len(gaps) == 1 else f"the first of {len(gaps)} gaps"
         return f"{text}, {count}; {', or '.join(remedies) or 'too few samples remain for a recording'}"
 
-    def _error(self, message: str, about: str) -> RecordingError:
-        return self.source.error(message, about)
 
-
-def after_gaps(times: Seconds) -> Bool[np.ndarray, " samples"]:
+def after_gaps(times: Seconds) -> Chosen:
     """Return which samples follow a gap in the times, or follow the clock being set back."""
     return np.concatenate([[False], gaps_in(times) | (np.diff(times) < 0.0)])
 
@@ -521,11 +515,23 @@ def _short(time: float) -> str:
     return f"{plain(time / 1e-9, 2)} ns"
 
 
-def _after(time: float) -> float:
-    """Return the time rounded up to ms, to avoid a gap before it; a whole ms is unchanged."""
-    return float(np.ceil(time * 1e3 - 1e-7) / 1e3) + 0.0
+def _start(time: float) -> str:
+    """Return the option to start at a time, rounded up to ms to avoid a gap before it."""
+    return f"start={np.ceil(time * 1e3 - 1e-7) / 1e3 + 0.0:.3f}"
 
 
-def _before(time: float) -> float:
-    """Return the time rounded down to ms, to avoid a gap after it; a whole ms is unchanged."""
-    return float(np.floor(time * 1e3 + 1e-7) / 1e3)
+def _stop(time: float) -> str:
+    """Return the option to stop before a time, rounded down to ms to avoid a gap after it."""
+    return f"stop={np.floor(time * 1e3 + 1e-7) / 1e3:.3f}"
+
+
+def _lost_from(places: Places) -> int:
+    """Return how many places no sample has."""
+    return int(places[-1]) + 1 - len(places)
+
+
+def _interval(times: Seconds, places: Places | None = None) -> float:
+    """Return the interval [s] of the straight line through stamps; by default, all samples are there."""
+    number = np.arange(len(times)) if places is None else places
+    number = number - number.mean()
+    return float(number @ times / (number @ number))

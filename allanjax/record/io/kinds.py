@@ -3,12 +3,12 @@
 from dataclasses import replace
 
 import numpy as np
-from jaxtyping import Shaped
 
 from allanjax.base.errors import MixedRatesError
-from allanjax.record.columns import recognise, split_unit
+from allanjax.record.columns import recognise, split_unit, with_unit
 from allanjax.record.io.options import ReadOptions
 from allanjax.record.io.table import Columns, Table, is_numeric
+from allanjax.record.shapes import Cells
 from allanjax.record.units import SENSORS, Sensor
 
 # Rows in which kinds are looked for, and the most kinds that there are.
@@ -36,7 +36,7 @@ def of_one_kind(table: Table, columns: Columns, options: ReadOptions) -> tuple[T
         if chosen not in found:
             error = table.source.error(
                 f"rows of {' and '.join(found)} alternate, as column {labels[k]!r} says; read one sensor "
-                "with columns='gyro' or columns='accel' (--columns gyro, --columns accel)"
+                "with columns='gyro' or columns='accel'"
             )
             raise MixedRatesError(str(error), found)
         wanted = [kind for kind, sensor in kinds.items() if sensor == chosen]
@@ -44,15 +44,10 @@ def of_one_kind(table: Table, columns: Columns, options: ReadOptions) -> tuple[T
         named = [_renamed(label, str(chosen)) for label in labels]
         others = [i for i in range(len(columns)) if i != k]
         note = f"{rows.sum():,} of {len(rows):,} rows are of the {chosen}, as column {labels[k]!r} says"
-        part = Table.of(
-            tuple(columns[i][rows] for i in others),
-            tuple(named[i] for i in others),
-            table.source.at(rows),
-            table.rate,
-            (*table.notes, note),
-        )
-        part = replace(part, units=table.units)
-        return part, part.columns()
+        kept = tuple(columns[i][rows] for i in others)
+        labels, notes = tuple(named[i] for i in others), (*table.notes, note)
+        part = Table.of(kept, labels, table.source.at(rows), table.rate, notes)
+        return replace(part, units=table.units), kept
     return table, columns
 
 
@@ -64,7 +59,7 @@ def _labels(columns: Columns) -> tuple[str, ...]:
     return tuple(next(own) if is_numeric(column) else f"column {k + 1}" for k, column in enumerate(columns))
 
 
-def _sensors(column: Shaped[np.ndarray, " rows"]) -> dict[str, Sensor]:
+def _sensors(column: Cells) -> dict[str, Sensor]:
     """Return the words in a column that name a sensor, and these sensors."""
     kinds = sorted(set(column[:_FIRST_ROWS].astype(str)))
     if len(kinds) > _MOST_KINDS:
@@ -78,7 +73,7 @@ def _renamed(label: str, sensor: str) -> str:
     axis, unit = _last_of(label), split_unit(label)[1]
     if axis not in _AXES:
         return label
-    return f"{sensor}_{axis}" + (f" [{unit}]" if unit else "")
+    return with_unit(f"{sensor}_{axis}", unit)
 
 
 def _last_of(label: str) -> str:

@@ -1,13 +1,11 @@
 """Layout: which columns of a table are axes, which are its clock, and in which units."""
 
 import difflib
-import functools
 from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 
 import numpy as np
-from jaxtyping import Shaped
 
 from allanjax.base.errors import UnitError
 from allanjax.record.columns import (
@@ -24,7 +22,8 @@ from allanjax.record.columns import (
 )
 from allanjax.record.io.options import ReadOptions
 from allanjax.record.io.table import Columns, Table, is_numeric
-from allanjax.record.units import SENSORS, Sensor, convert, unit_scale
+from allanjax.record.shapes import Cells
+from allanjax.record.units import SENSORS, Sensor, is_unit, unit_scale
 from allanjax.record.validation import check_names
 
 # Entries in a list of columns that skip a column.
@@ -84,17 +83,12 @@ class Layout:
         every = (*notes, *clock_notes, *_notes_on(columns), *axis_notes)
         return cls(columns, axes, clock, auxiliary, _given(columns, options), every)
 
-    @property
-    def without_clock(self) -> "Layout":
-        """The layout of evenly spaced samples."""
-        return replace(self, clock=())
-
-    def stamps(self, columns: Columns) -> tuple[Shaped[np.ndarray, " rows"], ...]:
+    def stamps(self, columns: Columns) -> tuple[Cells, ...]:
         """Return the time stamps in these columns of the table."""
         return tuple(columns[column.index] for column in self.clock)
 
 
-def _is_channel(column: Column, values: Shaped[np.ndarray, " rows"]) -> bool:
+def _is_channel(column: Column, values: Cells) -> bool:
     """Return whether a column beside axes and clock is read; of other times, numbers that may be others."""
     if column.role == "time":
         return recognise(column.label).role == "auxiliary" and is_numeric(values)
@@ -111,7 +105,7 @@ def _found(table: Table, first: Columns, options: ReadOptions) -> tuple[list[Col
         if repeated:
             raise table.source.error(
                 f"several columns are called {', '.join(map(repr, repeated))}; correct the header, or name "
-                "all columns with columns= (--columns)"
+                "all with columns="
             )
         found = _recognised(table.labels)
     else:
@@ -134,13 +128,10 @@ def _of_one_sensor(found: list[Column], options: ReadOptions, notes: list[str]) 
     if len(sensors) != 1 or not bare or any(column.role == "axis" for column in found):
         return found
     notes.append(f"{', '.join(column.label for column in bare)} are taken as axes of the {sensors[0]}")
-    named = []
-    for column in found:
-        if column in bare:
-            name = f"{sensors[0]}_{column.name.casefold()}"
-            column = replace(column, role="axis", sensor=sensors[0], name=name)
-        named.append(column)
-    return named
+    for column in bare:
+        name = f"{sensors[0]}_{column.name.casefold()}"
+        found[found.index(column)] = replace(column, role="axis", sensor=sensors[0], name=name)
+    return found
 
 
 def _recognised(labels: Sequence[str]) -> list[Column]:
@@ -148,7 +139,7 @@ def _recognised(labels: Sequence[str]) -> list[Column]:
     return [replace(recognise(label), index=i) for i, label in enumerate(labels)]
 
 
-def _as_time(column: Column, values: Shaped[np.ndarray, " rows"], table: Table) -> Column:
+def _as_time(column: Column, values: Cells, table: Table) -> Column:
     """Return a column of dates or in a unit of time as one of times; others unchanged."""
     if column.label in table.auxiliary:
         return replace(column, role="auxiliary", sensor=None)
@@ -157,7 +148,7 @@ def _as_time(column: Column, values: Shaped[np.ndarray, " rows"], table: Table) 
     if values.dtype.kind == "M":
         return replace(column, role="time")
     time = may_be_time(column)
-    if time is None and column.unit is not None and _is_unit_of_time(column.unit):
+    if time is None and column.unit is not None and is_unit(column.unit, "s"):
         time = replace(column, role="time")
     # Durations beside samples, such as a latency, do not increase from row to row.
     if time is None or not is_numeric(values) or not _increases(values):
@@ -165,19 +156,10 @@ def _as_time(column: Column, values: Shaped[np.ndarray, " rows"], table: Table) 
     return time
 
 
-def _increases(values: Shaped[np.ndarray, " rows"]) -> bool:
+def _increases(values: Cells) -> bool:
     """Return whether values mostly increase from row to row, or stay, as in bursts."""
     steps = np.diff(values.astype(float))
     return bool((steps > 0.0).any() and np.mean(steps >= 0.0) > _RISING)
-
-
-@functools.cache
-def _is_unit_of_time(unit: str) -> bool:
-    try:
-        convert(1.0, unit, "s")
-    except UnitError:
-        return False
-    return True
 
 
 def _repeated(names: Sequence[str]) -> list[str]:
@@ -187,13 +169,13 @@ def _repeated(names: Sequence[str]) -> list[str]:
 
 def _chosen(table: Table, count: int, columns: str | Sequence[str]) -> list[Column]:
     """Return the columns that are asked for: names of the header, or names of all columns by position."""
-    check_names(columns, "columns= (--columns)", table.source)
+    check_names(columns, "columns=", table.source)
     entries = [entry.strip() for entry in (columns.split(",") if isinstance(columns, str) else columns)]
     names = [entry for entry in entries if entry not in _SKIP]
     repeated = _repeated(names)
     if repeated:
         raise table.source.error(
-            f"columns= names {', '.join(repeated)} more than once; name each once in columns= (--columns)"
+            f"columns= names {', '.join(repeated)} more than once; name each once in columns="
         )
     if table.labels is not None:
         matches = [_match(table, name, len(entries) == count) for name in names]
@@ -205,15 +187,14 @@ def _chosen(table: Table, count: int, columns: str | Sequence[str]) -> list[Colu
             near = difflib.get_close_matches(unknown[0], stems, 1)
             hint = f" (did you mean {near[0]}?)" if near else ""
             raise table.source.error(
-                f"columns= (--columns) asks for {', '.join(unknown)}{hint}, but the file has "
-                f"{', '.join(table.labels)}; choose from these in columns= (--columns), or give one name per "
-                "column in order, with - to skip one"
+                f"columns= asks for {', '.join(unknown)}{hint}, but the file has {', '.join(table.labels)}; "
+                "choose from these in columns=, or give one name per column in order, with - to skip one"
             )
     if len(entries) != count:
         has = "no names" if table.labels is None else f"the names {', '.join(table.labels)}"
         raise table.source.error(
             f"columns= has {len(entries)} entries, but the file has {count} columns, with {has}; "
-            "list names of the header in columns= (--columns), or one entry per column, with - to skip one"
+            "list names of the header in columns=, or one entry per column, with - to skip one"
         )
     found = [c for c in _recognised(entries) if entries[c.index] not in _SKIP]
     # Without a unit from the user, that of the header applies.
@@ -255,7 +236,7 @@ def _match(table: Table, name: str, by_position: bool) -> tuple[int, ...]:
             first = labels[found[0]]
             raise table.source.error(
                 f"columns= names {name!r}, which matches {listed}; use the full name, such as "
-                f"columns='{first}' (--columns '{first}'), or name all columns in their order, - skips one"
+                f"columns='{first}', or name all columns in their order, - skips one"
             )
         if found:
             return found
@@ -276,8 +257,8 @@ def _clock(
                 return (named[0],), []
         listed = ", ".join(column.label for column in found)
         raise table.source.error(
-            f"no time column {wanted!r} among {listed}; correct time= (--time), or ignore the time stamps "
-            "with time='none' (--time none)"
+            f"no time column {wanted!r} among {listed}; correct time=, or ignore the time stamps with "
+            "time='none'"
         )
     # An empty column is not one.
     candidates = [c for c in found if c.role == "time" and (first[c.index] == first[c.index]).any()]
@@ -304,10 +285,10 @@ def _clock(
     return best, [f"times from {' and '.join(c.label for c in best)}; {', '.join(ignored)} ignored"]
 
 
-def _unevenness(stamps: Shaped[np.ndarray, " rows"]) -> int:
+def _unevenness(stamps: Cells) -> int:
     """Return how uneven stamps are: 0 if intervals agree within a fifth, 1 if not, 2 if they never change."""
     if stamps.dtype.kind == "M":
-        stamps = stamps.astype("datetime64[ns]").astype(np.int64)
+        stamps = stamps.astype(np.int64)
     if not is_numeric(stamps) or len(stamps) < 3:
         return 0
     intervals = np.diff((stamps - stamps[0]).astype(float))
@@ -335,7 +316,7 @@ def _check_is_recording(
         names = ",".join("time" if column.role == "time" else some.get(column, "-") for column in found)
         raise table.source.error(
             f"no gyro or accelerometer column among {', '.join(column.label for column in found)}; "
-            f"name the columns in their order, - skips one, such as columns='{names}' (--columns {names})"
+            f"name the columns in their order, - skips one, such as columns='{names}'"
         )
 
 
@@ -350,14 +331,12 @@ def _check_all_used(
             others = "" if table.labels is None else f" among {', '.join(table.labels)}"
             name = "accelerometer" if sensor == "accel" else sensor
             raise table.source.error(
-                f"{sensor}_unit= (--{sensor}-unit) is given, but there is no {name}{others}; omit it, or "
-                f"name the columns with columns= (--columns), one entry per column (axes are now {read})"
+                f"{sensor}_unit= is given, but there is no {name}{others}; omit it, or name the columns with "
+                f"columns=, one entry per column (axes are now {read})"
             )
     if options.time_unit is not None and not clock:
-        named = ", or name their column with time= (--time)" if len(first) > len(axes) else ""
-        raise table.source.error(
-            f"time_unit= (--time-unit) is given, but no time stamps are read; omit it{named}"
-        )
+        named = ", or name their column with time=" if len(first) > len(axes) else ""
+        raise table.source.error(f"time_unit= is given, but no time stamps are read; omit it{named}")
 
 
 def _given(axes: Sequence[Column], options: ReadOptions) -> dict[Sensor, float]:
@@ -365,11 +344,10 @@ def _given(axes: Sequence[Column], options: ReadOptions) -> dict[Sensor, float]:
     found: dict[Sensor, float] = {}
     for sensor, unit in options.units.items():
         labelled = next((recognise(c.label).unit for c in axes if c.sensor == sensor), None)
-        if unit is None:
-            continue
-        found[sensor] = 1.0
-        with suppress(UnitError):
-            found[sensor] = unit_scale(unit, sensor) / unit_scale(labelled, sensor) if labelled else 1.0
+        if unit is not None:
+            found[sensor] = 1.0
+            with suppress(UnitError):
+                found[sensor] = unit_scale(unit, sensor) / unit_scale(labelled or unit, sensor)
     return found
 
 

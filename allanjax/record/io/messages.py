@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from allanjax.record.columns import recognise, split_unit
+from allanjax.record.columns import recognise, with_unit
 from allanjax.record.io.cells import (
     TIME,
     VALUE,
@@ -44,9 +44,10 @@ _SUM, _MARKS = re.compile(r"\*([\da-fA-F]{2}|[\da-fA-F]{8})\s*$"), tuple("$#%!@/
 _AFTER_NAME, _AFTER_VALUE = ":=({[", r"[,;|)}\]>\n]"
 # The name that a time without one is given, and the names of the axes in a group of three.
 _TIMES, _XYZ = ("time",), ("x", "y", "z")
-# How many of the most frequent shapes are tried; how many messages a shape needs; what share of the messages
-# it needs where a message has several lines; and how many numbers it needs if none of them is an axis.
-_SHAPES, _FEWEST, _SHARE, _UNNAMED = 10, 3, 0.8, 3
+# How many of the most frequent shapes are tried, and how many messages a shape needs.
+_SHAPES, _FEWEST = 10, 3
+# Share of the messages that a shape needs where one has several lines; and numbers without an axis.
+_SHARE, _UNNAMED = 0.8, 3
 
 
 @dataclass(frozen=True)
@@ -200,7 +201,7 @@ def _found(shape: str, examples: Sequence[Numbered], before: Sequence[str], mark
     columns = list(zip(*(VALUE.findall(_SUM.sub("", text)) for _, text in examples), strict=False))
     names = _labels_of(_SUM.sub("", text), before)
     numbers = sum(is_number(column[0]) for column in columns)
-    has_axes = any(is_axis(name) for name in names if name)
+    has_axes = any(map(is_axis, filter(None, names)))
     if not re.search(r"[^\s,;|]", VALUE.sub("", text)) or (numbers < _UNNAMED and not has_axes):
         return None
     # Beside axes, a number without a name that is the same in all messages is no column.
@@ -240,20 +241,18 @@ def _labels_of(text: str, before: Sequence[str]) -> list[str | None]:
     # What follows the last number is but a unit.
     values.pop()
     names = [*_names_of(values)]
-    # Where no number has the name of an axis, names such as that of a program say nothing.
-    has_axes = any(is_axis(name) for name in names if name)
-    says_nothing = (lambda name: name is None) if has_axes else _says_nothing
+    has_axes = any(map(is_axis, filter(None, names)))
+
+    def says_nothing(name: str | None) -> bool:
+        # Where no number has the name of an axis, names such as that of a program say nothing.
+        return name is None or (not has_axes and recognise(name).role == "auxiliary")
+
     unnamed = len(list(itertools.takewhile(says_nothing, reversed(names))))
     if unnamed > 1:
         delimiter = delimiter_of("".join(pieces[-unnamed:-1]))
         header = next(filter(None, (_names_in(line, delimiter, unnamed) for line in reversed(before))), [])
         names[len(names) - len(header) :] = header
     return _with_units(names, values)
-
-
-def _says_nothing(name: str | None) -> bool:
-    """Whether a number has no name, or one that is neither an axis nor a time, such as that of a program."""
-    return name is None or recognise(name).role == "auxiliary"
 
 
 def _unit_before(piece: str) -> tuple[str, str]:
@@ -311,7 +310,7 @@ def _with_units(names: Sequence[str | None], values: Sequence[_Value]) -> list[s
         units[k - 1] = units[k - 1] or (units[k] if values[k].follows else "")
     labels: list[str | None] = []
     for name, unit in zip(names, units, strict=True):
-        label = f"{name} [{unit}]" if name and unit and not split_unit(name)[1] else name
+        label = name and with_unit(name, unit)
         labels.append(f"{label} {len(labels) + 1}" if label in labels and label else label)
     return labels
 

@@ -6,6 +6,7 @@ from dataclasses import dataclass, fields, replace
 from typing import TYPE_CHECKING, Any, Literal, get_args
 
 from allanjax.base.errors import RecordingError
+from allanjax.base.wording import with_commands
 
 if TYPE_CHECKING:
     from allanjax.record.units import Sensor
@@ -69,16 +70,13 @@ class ReadOptions:
         start, stop = self.start, self.stop
         for name, time in (("start", start), ("stop", stop)):
             if time is not None and not math.isfinite(time):
-                raise RecordingError(f"{name}= (--{name}) must be a time in s, not {time}")
+                raise RecordingError(with_commands(f"{name}= must be a time in s, not {time}"))
         if self.gaps not in (None, *get_args(GapChoice)):
-            raise RecordingError(
-                f"gaps= (--gaps) is {self.gaps!r}, which is unknown; pass gaps='segments' (--gaps segments) "
-                "or gaps='fill' (--gaps fill)"
-            )
+            wrong = f"gaps= is {self.gaps!r}, which is unknown; pass gaps='segments' or gaps='fill'"
+            raise RecordingError(with_commands(wrong))
         if start is not None and stop is not None and start >= stop:
-            raise RecordingError(
-                f"start= (--start) must be before stop= (--stop), and {start:g} s is not before {stop:g} s"
-            )
+            wrong = f"start= must be before stop=, and {start:g} s is not before {stop:g} s"
+            raise RecordingError(with_commands(wrong))
 
     @property
     def allows_gaps(self) -> bool:

@@ -5,25 +5,23 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float
 
-from allanjax.base.errors import MixedRatesError, RecordingError
-from allanjax.record.columns import Column
-from allanjax.record.completion import Gap, on_grid, segments_of, without_repeats
+from allanjax.base.errors import MixedRatesError
+from allanjax.record.columns import Column, axes_by_sensor, with_unit
+from allanjax.record.completion import Gap, Segments, on_grid, segments_of, without_repeats
 from allanjax.record.io.absent import without_samples
-from allanjax.record.io.grid import Grid, Stamps, after_gaps
+from allanjax.record.io.grid import Stamps, after_gaps
 from allanjax.record.io.layout import Layout
 from allanjax.record.io.options import ReadOptions
 from allanjax.record.io.table import Columns, Table, as_float, is_numeric
-from allanjax.record.io.times import MAX_RATE_DIFFERENCE, Clock, Seconds
+from allanjax.record.io.times import MAX_RATE_DIFFERENCE, Clock
+from allanjax.record.shapes import Channel, Chosen, Seconds, Values, Which
 from allanjax.record.validation import MIN_SAMPLES, Source, check_length, check_rate
 
-# Shares of rows: the least and the largest that are samples of a sensor that shares a table, and the share of
-# these (of all rows if two sensors alternate) at even intervals, to this part of the interval.
-_LEAST_FRESH, _MOST_FRESH, _REGULAR, _SAME = 0.02, 0.92, 0.95, 0.45
-
-Values = Float[np.ndarray, "samples axes"]
-Which = Bool[np.ndarray, "samples axes"]
+# Least and largest share of the rows of a table in which a sensor was sampled that shares it with others.
+_LEAST_FRESH, _MOST_FRESH = 0.02, 0.92
+# This share of its intervals (of all rows if two sensors alternate) is even, to this part of the interval.
+_REGULAR, _SAME = 0.95, 0.45
 
 
 class Rows(NamedTuple):
@@ -38,16 +36,18 @@ class Rows(NamedTuple):
     """
 
     values: Values
-    auxiliary: Mapping[str, Float[np.ndarray, " samples"]]
+    auxiliary: Mapping[str, Channel]
     seconds: Seconds
     source: Source
     absent: Which
 
-    def taken(self, rows: slice | Bool[np.ndarray, " samples"]) -> "Rows":
-        """Return some of the rows."""
+    def taken(self, rows: slice | Chosen) -> "Rows":
+        """Return some of the rows; RecordingError if they are too few for a recording."""
         auxiliary = {name: column[rows] for name, column in self.auxiliary.items()}
-        source = self.source.after(rows.start or 0) if isinstance(rows, slice) else self.source.at(rows)
-        return Rows(self.values[rows], auxiliary, self.seconds[rows], source, self.absent[rows])
+        source = self.source.after(rows.start) if isinstance(rows, slice) else self.source.at(rows)
+        values = self.values[rows]
+        check_length(len(values), source)
+        return Rows(values, auxiliary, self.seconds[rows], source, self.absent[rows])
 
     @property
     def interval(self) -> float:
@@ -60,30 +60,26 @@ class Record:
     """Samples of a table on an even grid.
 
     Attributes:
-        values: samples in the units of the table; nan where one is missing.
+        rows: samples, nan where one is missing, and auxiliary columns.
         lost: which samples are missing and to be filled in given the others.
         rate: sample rate [Hz].
-        auxiliary: other columns by name.
         others: other segments of the record, separated by missing samples.
-        places: number of the first sample of each of these, counted from that of `values`.
+        places: number of the first sample of each of these, counted from that of `rows`.
         gaps: where samples are missing between segments; None if that is unknown without time stamps.
         jitter: rms jitter of the time stamps [s]; None without time stamps.
         begun: UNIX time of the first sample [s], if the stamps tell it.
         notes: assumptions and findings that users should know.
-        source: origin of the samples.
     """
 
-    values: Values
-    lost: Bool[np.ndarray, "samples axes"]
+    rows: Rows
+    lost: Which
     rate: float
-    auxiliary: Mapping[str, Float[np.ndarray, " samples"]]
-    others: tuple[Values, ...]
+    others: tuple[Rows, ...]
     places: tuple[int, ...]
     gaps: tuple[Gap, ...] | None
     jitter: float | None
     begun: float | None
     notes: tuple[str, ...]
-    source: Source
 
     @classmethod
     def of(cls, table: Table, layout: Layout, columns: Columns, options: ReadOptions) -> "Record":
@@ -92,7 +88,7 @@ class Record:
         Raises:
             RecordingError: values or times that are no numbers, too few samples, or times that are not even.
         """
-        rate, rate_notes = stated_rate(table, options.rate)
+        rate, rate_notes = stated_rate(table, layout, options.rate)
         times = Times.of(table, layout, columns, rate, options)
         part, part_notes = _part(table, layout, columns, times.seconds, options)
         notes = [*rate_notes, *times.notes, *part_notes]
@@ -102,13 +98,15 @@ class Record:
             part, own_notes = _own(part, layout, options)
             notes += own_notes
         stamps = times.of_rows(part)
-        even = stamps is None or options.uniform or bool(options.allows_gaps and stamps.why_even())
+        even = stamps is None or options.uniform or bool(options.allows_gaps and stamps.why_even)
         others: tuple[Rows, ...] = ()
         gaps: tuple[Gap, ...] | None = None if stamps is None or options.uniform else ()
         if options.gaps == "segments":
-            part, others, between, segment_notes = _segments(part, even)
-            gaps, notes = between or gaps, [*notes, *segment_notes]
-            stamps = times.of_rows(part)
+            longest, segments = _segments(part, even)
+            others = tuple(map(part.taken, segments.others))
+            gaps = segments.gaps(part.seconds, 1.0 / longest.interval) or gaps
+            notes += segments.notes(len(part.values))
+            part, stamps = longest, times.of_rows(longest)
         jitter = None
         if stamps is not None:
             grid = stamps.grid(
@@ -117,26 +115,15 @@ class Record:
                 uniform=options.uniform,
                 force=options.force,
             )
-            part = _on(grid, part)
+            values, auxiliary = on_grid(part.values, part.auxiliary, grid.places)
+            part = part._replace(values=values, auxiliary=auxiliary)
             rate, jitter = grid.rate, grid.jitter
             notes.append(grid.note)
-        if rate is None:
-            raise no_rate_error(table.source, layout)
+        assert rate is not None
         begun = None if times.begun is None else times.begun + float(part.seconds[0])
         lost = np.isnan(part.values) if options.gaps == "fill" else part.absent
-        return cls(
-            part.values,
-            lost,
-            rate,
-            part.auxiliary,
-            tuple(other.values for other in others),
-            tuple(round(float(other.seconds[0] - part.seconds[0]) * rate) for other in others),
-            gaps,
-            jitter,
-            begun,
-            tuple(notes),
-            part.source,
-        )
+        places = [round(float(other.seconds[0] - part.seconds[0]) * rate) for other in others]
+        return cls(part, lost, rate, others, tuple(places), gaps, jitter, begun, tuple(notes))
 
 
 class Times(NamedTuple):
@@ -162,8 +149,7 @@ class Times(NamedTuple):
     ) -> "Times":
         """Return the times of the rows in these columns of a table."""
         if not layout.clock:
-            if rate is None:
-                raise no_rate_error(table.source, layout)
+            assert rate is not None
             return cls(np.arange(len(columns[0])) / rate, None, 0.0, None, ())
         stamps = layout.stamps(columns)
         clock = Clock.of(layout.clock, stamps, options.time_unit, rate, table.source)
@@ -181,13 +167,9 @@ def _part(
     table: Table, layout: Layout, columns: Columns, seconds: Seconds, options: ReadOptions
 ) -> tuple[Rows, list[str]]:
     """Return the rows from start to stop, as numbers, and notes."""
-    n, source, notes = len(seconds), table.source, []
     rows = rows_of_times(seconds, options.start, options.stop)
-    check_rows(rows, float(seconds[-1]), source)
-    source = source.after(rows.start)
-    check_length(rows.stop - rows.start, source, n >= MIN_SAMPLES)
-    if rows != slice(0, n):
-        notes.append(f"samples {rows.start:,} to {rows.stop - 1:,} of {n:,} read")
+    notes = [*notes_on_part(rows, len(seconds), float(seconds[-1]), table.source)]
+    source = table.source.after(rows.start)
     # Each axis is contiguous in memory, since most of the work is axis by axis.
     axes = [as_float(columns[c.index][rows], c.label, source, options.allows_gaps) for c in layout.columns]
     auxiliary = {}
@@ -207,24 +189,20 @@ def _without_absent(part: Rows, layout: Layout) -> tuple[Rows, tuple[str, ...]]:
         return part._replace(values=found.values), found.notes
     values = np.where(found.at, np.nan, found.values)
     part = part._replace(values=values, absent=found.at).taken(found.ends)
-    check_length(len(part.values), part.source)
     cut = len(values) - len(part.values)
     if not cut:
         return part, found.notes
     return part, (*found.notes, f"{cut:,} rows at the ends without a sample of all sensors are left out")
 
 
-def _auxiliary(
-    column: Column, values: Float[np.ndarray, " rows"], source: Source
-) -> tuple[Float[np.ndarray, " rows"] | None, str]:
+def _auxiliary(column: Column, values: Channel, source: Source) -> tuple[Channel | None, str]:
     """Return an auxiliary column as floats, or None if it is text, and a note on it."""
     if not is_numeric(values):
         cell = str(values[0])[:40]
         return None, f"column {column.label!r} skipped as it is not numeric: {cell!r} at {source.locate(0)}"
     numbers = values.astype(float)
-    unit = f" [{column.unit}]" if column.unit else ""
-    missing = np.count_nonzero(~np.isfinite(numbers))
-    return numbers, f"auxiliary: {column.name}{unit}{f' ({missing} values missing)' if missing else ''}"
+    label, missing = with_unit(column.name, column.unit), np.count_nonzero(~np.isfinite(numbers))
+    return numbers, f"auxiliary: {label}{f' ({missing} values missing)' if missing else ''}"
 
 
 def _own(part: Rows, layout: Layout, options: ReadOptions) -> tuple[Rows, list[str]]:
@@ -239,12 +217,10 @@ def _own(part: Rows, layout: Layout, options: ReadOptions) -> tuple[Rows, list[s
     if not own.all():
         notes.append(f"{np.count_nonzero(~own)} rows that repeat the previous values are left out")
     kept[kept] = own
-    found = part if kept.all() else part.taken(kept)
-    check_length(len(found.values), found.source)
-    return found, notes
+    return part if kept.all() else part.taken(kept), notes
 
 
-def own_rows(part: Rows, columns: Sequence[Column]) -> Bool[np.ndarray, " samples"]:
+def own_rows(part: Rows, columns: Sequence[Column]) -> Chosen:
     """Return the rows of a table in which its sensors were sampled.
 
     If several sensors share a table, a row repeats the previous values of those that were not sampled then,
@@ -255,8 +231,7 @@ def own_rows(part: Rows, columns: Sequence[Column]) -> Bool[np.ndarray, " sample
     """
     values, seconds = part.values, part.seconds
     fresh = {}
-    for sensor in dict.fromkeys(column.sensor for column in columns):
-        of_sensor = [column.sensor == sensor for column in columns]
+    for sensor, of_sensor in axes_by_sensor(columns).items():
         own = values[:, of_sensor]
         changed = np.concatenate([[False], (own[1:] != own[:-1]).any(axis=1)])
         fresh[sensor] = changed & ~part.absent[:, of_sensor].all(axis=1)
@@ -278,55 +253,52 @@ def own_rows(part: Rows, columns: Sequence[Column]) -> Bool[np.ndarray, " sample
     listed = " and ".join(f"{sensor} at {rate:.4g} Hz" for sensor, rate in rates.items())
     error = part.source.error(
         f"the sensors were sampled at different times, {listed} (other rows have none of their samples), but "
-        "a recording has one rate; read one sensor with columns='gyro' or columns='accel' (--columns gyro, "
-        "--columns accel)"
+        "a recording has one rate; read one sensor with columns='gyro' or columns='accel'"
     )
     raise MixedRatesError(str(error), tuple(map(str, fresh)))
 
 
-def _segments(part: Rows, even: bool) -> tuple[Rows, tuple[Rows, ...], tuple[Gap, ...], tuple[str, ...]]:
-    """Return the longest segment without missing samples, other segments, the gaps between, and notes."""
-    n = len(part.values)
-    segments = segments_of(part.values, np.zeros(n, bool) if even else after_gaps(part.seconds))
+def _segments(part: Rows, even: bool) -> tuple[Rows, Segments]:
+    """Return the longest segment without missing samples; and all, of which others have the same rate."""
+    after = np.zeros(len(part.values), bool) if even else after_gaps(part.seconds)
+    segments = segments_of(part.values, after)
     longest = part.taken(segments.longest)
-    check_length(len(longest.values), longest.source)
-    others = [part.taken(rows) for rows in segments.others]
-    same = [abs(other.interval / longest.interval - 1.0) < MAX_RATE_DIFFERENCE for other in others]
-    kept = [rows for rows, agrees in zip(segments.others, same, strict=True) if agrees]
-    segments = segments._replace(others=tuple(kept))
-    gaps = segments.gaps(part.seconds, 1.0 / longest.interval)
-    used = tuple(other for other, agrees in zip(others, same, strict=True) if agrees)
-    return longest, used, gaps, segments.notes(n)
+    alike = []
+    for rows in segments.others:
+        if abs(part.taken(rows).interval / longest.interval - 1.0) < MAX_RATE_DIFFERENCE:
+            alike.append(rows)
+    return longest, segments._replace(others=tuple(alike))
 
 
-def _on(grid: Grid, part: Rows) -> Rows:
-    """Return the samples on their grid, nan where one is missing."""
-    values, auxiliary = on_grid(part.values, part.auxiliary, grid.places)
-    return part._replace(values=values, auxiliary=auxiliary)
+def notes_on_part(rows: slice, n: int, duration: float, source: Source) -> tuple[str, ...]:
+    """Return a note on the rows that are read of n, if these are not all.
 
-
-def no_rate_error(source: Source, layout: Layout) -> RecordingError:
-    """Return the RecordingError for samples without a rate and without time stamps."""
-    others = ", ".join(column.label for column in layout.auxiliary)
-    stamps = f"if one of {others} has time stamps, name it with time= (--time), or " if others else ""
-    return source.error(f"no sample rate; pass rate= in Hz (--rate); {stamps}add a column `time [s]`")
-
-
-def check_rows(rows: slice, duration: float, source: Source) -> None:
-    """Raise `RecordingError` if no rows remain of a recording that lasts `duration` [s]."""
+    Raises:
+        RecordingError: none or too few of the n rows, which last `duration` [s].
+    """
     if rows.start == rows.stop:
         raise source.error(
-            f"start= and stop= (--start, --stop) leave no sample of its {duration:.6g} s; pass times within "
-            "it as start= and stop= (--start, --stop)"
+            f"start= and stop= leave no sample of its {duration:.6g} s; pass start= and stop= within it"
         )
+    check_length(rows.stop - rows.start, source, n >= MIN_SAMPLES)
+    if rows == slice(0, n):
+        return ()
+    return (f"samples {rows.start:,} to {rows.stop - 1:,} of {n:,} read",)
 
 
-def stated_rate(table: Table, given: float | None) -> tuple[float | None, tuple[str, ...]]:
-    """Return the given sample rate [Hz], with a note if the file states another; else that of the file."""
-    if given is None:
-        return None if table.rate is None else check_rate(table.rate, table.source), ()
-    rate = check_rate(given, table.source)
-    if table.rate is None or abs(table.rate / rate - 1.0) <= MAX_RATE_DIFFERENCE:
+def stated_rate(table: Table, layout: Layout, given: float | None) -> tuple[float | None, tuple[str, ...]]:
+    """Return the given sample rate [Hz], with a note if the file states another; else that of the file.
+
+    Raises:
+        RecordingError: there is neither a rate nor a clock.
+    """
+    found = table.rate if given is None else given
+    if found is None and not layout.clock:
+        others = ", ".join(column.label for column in layout.auxiliary)
+        stamps = f"if one of {others} has time stamps, name it with time=, or " if others else ""
+        raise table.source.error(f"no sample rate; pass rate= in Hz; {stamps}add a column `time [s]`")
+    rate = None if found is None else check_rate(found, table.source)
+    if rate is None or table.rate is None or abs(table.rate / rate - 1.0) <= MAX_RATE_DIFFERENCE:
         return rate, ()
     return rate, (f"sample rate {rate:g} Hz as given, although the file states {table.rate:g} Hz",)
 

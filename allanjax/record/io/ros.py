@@ -68,7 +68,7 @@ def open_ros(path: Path, source: Source, topic: str | None) -> Table:
         if topic is None and len(names) > 1:
             if len(names) > 2 or not _are_halves([read(name, _FIRST).series for name in names]):
                 raise source.error(
-                    f"{len(names)} topics of sensor_msgs/Imu; choose one with topic= (--topic): {described()}"
+                    f"{len(names)} topics of sensor_msgs/Imu; choose one with topic=: {described()}"
                 )
         elif len(names) > 2 or len(set(names)) < len(names) or not set(names) <= set(topics):
             raise source.error(
@@ -119,18 +119,16 @@ def _described(first: _Topic, connections: Sequence[Any]) -> str:
 def _topic(bag: Any, connections: Sequence[Any], source: Source, count: int | None) -> _Topic:
     """Return the messages of a topic in the order of the bag, or the first `count` of them."""
     name = connections[0].topic
-    stamps: list[np.ndarray] = []
-    arrivals, values, frame = [], [], ""
+    stamps, arrivals = [np.zeros(0, np.int64)], [np.zeros(0, np.int64)]
+    values, frame = [np.zeros((0, 6))], ""
     messages = itertools.islice(bag.messages(connections=connections), count)
-    while block := list(itertools.islice(messages, _AT_ONCE)):
+    for block in iter(lambda: list(itertools.islice(messages, _AT_ONCE)), []):
         raw = [message for _, _, message in block]
         frame = frame or raw[0][_TEXT:-_TAIL].partition(b"\0")[0].decode("utf-8", "replace")
-        decoded = _decoded(raw, name, len(stamps) * _AT_ONCE, source)
+        decoded = _decoded(raw, name, (len(values) - 1) * _AT_ONCE, source)
         stamps.append(decoded[0])
         values.append(decoded[1])
-        arrivals.append(np.array([time for _, time, _ in block], dtype=np.int64))
-    if not stamps:
-        return _Topic(name, np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros((0, 6)), frame)
+        arrivals.append(np.array([time for _, time, _ in block], np.int64))
     return _Topic(name, np.concatenate(stamps), np.concatenate(arrivals), np.concatenate(values), frame)
 
 
@@ -150,15 +148,15 @@ def _decoded(
         block = np.frombuffer(b"".join([raw[i] for i in same.tolist()]), np.uint8).reshape(len(same), length)
         header, tail = (np.ascontiguousarray(x) for x in (block[:, 4:_TEXT], block[:, length - _TAIL :]))
         for order in "<>":
-            seconds, nanoseconds, text = header.view(f"{order}u4").astype(np.int64).T
-            end = _TEXT + text
+            numbers = header.view(f"{order}u4").astype(np.int64)
+            end = _TEXT + numbers[:, 2]
             fits = (length == end + _TAIL) | (length == 4 + (end + 3) // 8 * 8 + _TAIL)
             # A length of zero is the same in both byte orders.
             fits &= ~intact[same]
             rows = same[fits]
-            stamps[rows] = (seconds * 10**9 + nanoseconds)[fits]
-            numbers = tail.view(f"{order}f8")[fits]
-            values[rows, :3], values[rows, 3:] = numbers[:, _GYRO], numbers[:, _ACCEL]
+            stamps[rows] = numbers[fits, :2] @ [10**9, 1]
+            samples = tail.view(f"{order}f8")[fits]
+            values[rows, :3], values[rows, 3:] = samples[:, _GYRO], samples[:, _ACCEL]
             intact[rows] = True
     if not intact.all():
         raise source.error(
@@ -178,14 +176,14 @@ def _table(topics: Sequence[_Topic], source: Source) -> Table:
     for topic in topics:
         series, name = topic.series, topic.name
         if not len(series.times):
-            raise source.error(f"the topic {name} has no messages; choose another with topic= (--topic)")
+            raise source.error(f"the topic {name} has no messages; choose another with topic=")
         if series.gyro is None and series.accel is None:
             raise source.error(f"the topic {name} has only zeros; record it while its sensor is running")
         notes += _notes(topic, series)
         found.append(series.in_order())
     if len(found) > 1 and not _are_halves(found):
         names = " and ".join(topic.name for topic in topics)
-        raise source.error(f"{names} are not gyros and accelerometers; choose one with topic= (--topic)")
+        raise source.error(f"{names} are not gyros and accelerometers; choose one with topic=")
     gyros_first = sorted(found, key=lambda series: series.gyro is None)
     return joined(gyros_first, source).table(topics[0].clock, source, notes)
 

@@ -9,6 +9,7 @@ from jaxtyping import Float, Int
 from allanjax.record.io.grid import regular_intervals
 from allanjax.record.io.table import Table
 from allanjax.record.io.times import MAX_RATE_DIFFERENCE
+from allanjax.record.shapes import Places
 from allanjax.record.units import Sensor
 from allanjax.record.validation import Source
 
@@ -31,7 +32,7 @@ class Series:
     """
 
     name: str
-    times: Int[np.ndarray, " samples"]
+    times: Places
     gyro: Float[np.ndarray, "samples 3"] | None = None
     accel: Float[np.ndarray, "samples 3"] | None = None
     auxiliary: Mapping[str, np.ndarray] = field(default_factory=dict)
@@ -79,7 +80,7 @@ def joined(chosen: Sequence[Series], source: Source) -> Series:
         return chosen[0]
     gyro, accel = chosen
     rates = gyro.rate, accel.rate
-    choose = f"choose one with topic= (--topic), {gyro.name} or {accel.name}"
+    choose = f"choose one with topic=, {gyro.name} or {accel.name}"
     if not all(rates) or abs(rates[0] / rates[1] - 1.0) > MAX_RATE_DIFFERENCE:
         raise source.error(
             f"the gyros of {gyro.name} are at {rates[0]:.6g} Hz and the accelerometers of {accel.name} at "

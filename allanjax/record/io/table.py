@@ -12,21 +12,20 @@ from typing import Any, TypeAlias
 import numpy as np
 from jaxtyping import Float, Shaped
 
-from allanjax.base.errors import AllanjaxError, RecordingError
+from allanjax.base.errors import AllanjaxError
 from allanjax.record.io.options import ReadOptions
-from allanjax.record.units import Sensor
-from allanjax.record.validation import (
-    Source,
-    bad_cells,
-)
+from allanjax.record.shapes import Cells
+from allanjax.record.units import SENSORS, Sensor
+from allanjax.record.validation import Source, bad_cells
 
 #: Columns of equal length: numbers, datetime64, or objects where a text file has text.
 Columns: TypeAlias = tuple[Shaped[np.ndarray, " rows"], ...]
 #: Options that select one of several recordings in a file.
 CHOICES = ("topic", "instance")
-# Largest plausible compression factor of a file, that of deflate, the most common, is below 1033; and of one
-# that claims so many bytes, as nothing but constant numbers is compressed more.
-_EXPANSION, _LARGE, _EXPANSION_OF_LARGE = 1100, 1 << 30, 100
+# Largest plausible factor of compression: that of deflate, the most common, is below 1033.
+_EXPANSION = 1100
+# In a file that claims so many bytes nothing but constant numbers is compressed by more than this factor.
+_LARGE, _EXPANSION_OF_LARGE = 1 << 30, 100
 
 
 @dataclass(frozen=True)
@@ -77,19 +76,13 @@ class Table:
         """Return all rows."""
         parts = list(self.rows(sys.maxsize))
         if not parts:
-            raise self.no_rows()
+            raise self.source.no_rows()
         return parts[0] if len(parts) == 1 else tuple(map(np.concatenate, zip(*parts, strict=True)))
 
     def units_with(self, options: ReadOptions) -> dict[Sensor, str | None]:
         """Return the unit of each sensor's samples: that of the options, else that of the format."""
-        given = options.units
-        return {
-            sensor: self.units.get(sensor) if given[sensor] is None else given[sensor] for sensor in given
-        }
-
-    def no_rows(self) -> RecordingError:
-        """Return the RecordingError for a file without rows."""
-        return self.source.error("the file has no rows; give a file with one row of numbers per sample")
+        given = {sensor: unit for sensor, unit in options.units.items() if unit is not None}
+        return {**dict.fromkeys(SENSORS), **self.units, **given}
 
 
 @dataclass(frozen=True)
@@ -120,9 +113,7 @@ class Format:
         """Return the table of a file of this kind."""
         for name in CHOICES:
             if name not in self.choices and getattr(options, name) is not None:
-                raise source.error(
-                    f"a file of this kind ({self.name}) has no {name}s; omit {name}= (--{name})"
-                )
+                raise source.error(f"a file of this kind ({self.name}) has no {name}s; omit {name}=")
         return self.open(path, source, **{name: getattr(options, name) for name in self.choices})
 
 
@@ -150,7 +141,7 @@ def damage_reported(source: Source, kind: str, remedy: str) -> Iterator[None]:
         raise source.error(f"cannot be read as {kind}: {reason}; {remedy}") from error
 
 
-def is_numeric(values: Shaped[np.ndarray, " samples"]) -> bool:
+def is_numeric(values: Cells) -> bool:
     """Return whether a column has a dtype of real numbers or booleans."""
     return values.dtype.kind in "fiub"
 
@@ -171,9 +162,7 @@ def floats(values: Shaped[np.ndarray, "*shape"]) -> Float[np.ndarray, "*shape"]:
         return values.astype(float, copy=False)
 
 
-def as_float(
-    values: Shaped[np.ndarray, " samples"], label: str, source: Source, gaps: bool = False
-) -> np.ndarray:
+def as_float(values: Cells, label: str, source: Source, gaps: bool = False) -> np.ndarray:
     """Return a column as floats; NaN is kept, and columns without any value; with `gaps`, empty cells."""
     if is_numeric(values):
         return floats(values)

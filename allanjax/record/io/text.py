@@ -31,8 +31,10 @@ _MOST_ZEROS = 1e-3
 _ZEROS = re.compile(rb"\0{16,}|\0+$")
 # Exponent of a number as Fortran writes it.
 _FORTRAN = re.compile(rb"(\d\.?)[Dd]([+-]\d\d)")
-# Lines that are no rows are left out up to this share of all, or up to so many; so many are quoted.
-_MOST_OTHERS, _FEW_OTHERS, _QUOTED = 0.01, 5, 3
+# Lines that are no rows are left out up to this share of all, or up to so many.
+_MOST_OTHERS, _FEW_OTHERS = 0.01, 5
+# Lines that a message quotes.
+_QUOTED = 3
 
 
 class _Block(NamedTuple):
@@ -55,10 +57,8 @@ def open_text(path: Path, source: Source) -> Table:
 
     with damage_reported(source, "text", _SAVE_AGAIN):
         # A short file may be a block, and its last line another.
-        head = itertools.chain.from_iterable(
-            block.texts() for block in itertools.islice(blocks(b"\n", []), 2)
-        )
-        grammar = grammar_of([*itertools.islice(head, FIRST_LINES)], path.name, source)
+        head = [text for block in itertools.islice(blocks(b"\n", []), 2) for text in block.texts()]
+        grammar = grammar_of(head[:FIRST_LINES], path.name, source)
         if grammar.labels is not None and not grammar.has_axes:
             grammar = _later(blocks(b"\n", []), grammar, path.name, source) or grammar
     reader = _Reader(grammar, source)
@@ -136,11 +136,7 @@ def _decompressed(path: Path, notes: list[str]) -> Iterator[bytes]:
     """Yield pieces of a file, of a compressed one up to where it is cut off, with a note."""
     with path.open("rb") as file:
         is_compressed = file.read(2) == _GZIP_MAGIC
-    if not is_compressed:
-        with path.open("rb") as stream:
-            yield from iter(functools.partial(stream.read, _BLOCK), b"")
-        return
-    with gzip.open(path) as stream:
+    with gzip.open(path) if is_compressed else path.open("rb") as stream:
         try:
             yield from iter(functools.partial(stream.read1, _BLOCK), b"")
         except EOFError:
@@ -240,13 +236,15 @@ class _Reader:
 
     def end(self) -> None:
         """Note what was left out."""
-        if again := self._counts["names"]:
-            self.notes.append(f"the line of names comes {again} times more, which are left out")
-        if known := self._counts["known"]:
-            self.notes.append(f"{known} lines of other messages or tables are left out")
-        if strange := self._counts["strange"] + self._trailing:
-            listed = "; ".join(self._examples)
-            self.notes.append(f"{strange} lines that are no rows are left out: {listed}")
+        self._counts["strange"] += self._trailing
+        what = {
+            "names": "more lines of names are left out",
+            "known": "lines of other messages or tables are left out",
+            "strange": f"lines that are no rows are left out: {'; '.join(self._examples)}",
+        }
+        for kind, left_out in what.items():
+            if self._counts[kind]:
+                self.notes.append(f"{self._counts[kind]} {left_out}")
 
     def locate(self, row: int, blocks: Iterable[_Block]) -> str:
         """Return the place of a row in words, with its text if it is damaged."""

@@ -6,21 +6,20 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from jaxtyping import Float, Shaped
 
-from allanjax.base.errors import UnitError
 from allanjax.record.columns import Column
+from allanjax.record.io.cells import is_number
 from allanjax.record.io.table import as_float, is_numeric
-from allanjax.record.units import convert, same_unit
+from allanjax.record.shapes import Cells, Seconds
+from allanjax.record.units import convert, is_unit, same_unit
 from allanjax.record.validation import Source
 
-Seconds = Float[np.ndarray, " samples"]
-Stamps = Sequence[Shaped[np.ndarray, " samples"]]
+Stamps = Sequence[Cells]
 #: What stamps are: numbers in a unit, seconds and nanoseconds, dates, or times of the day.
 Kind = Literal["numbers", "pair", "dates", "clock"]
 
 #: Remedy where stamps are of no use.
-IGNORE = "ignore the stamps with time='none' and rate= (--time none --rate)"
+IGNORE = "ignore the stamps with time='none' and rate="
 #: Largest relative difference between two statements of the sample rate.
 MAX_RATE_DIFFERENCE = 0.01
 # Numbers at which counters restart from zero: 8 to 32 bits, and a second, a minute, an hour, a day, a week;
@@ -107,10 +106,8 @@ class Clock:
             RecordingError: a stamp is missing, or is no time.
         """
         if self.kind == "pair":
-            whole, parts = (
-                _since_first(values, column.label, source)
-                for column, values in zip(self.columns, stamps, strict=True)
-            )
+            pairs = zip(self.columns, stamps, strict=True)
+            whole, parts = (_since_first(values, column.label, source) for column, values in pairs)
             return whole + 1e-9 * parts, ()
         values = stamps[0]
         if self.kind == "dates":
@@ -155,9 +152,7 @@ class Clock:
             return convert(float(_common_step(values)), self.unit, "s")
         return convert(_decimal_step(as_float(values, self.label, Source(self.label))), self.unit, "s")
 
-    def _dates(
-        self, values: Shaped[np.ndarray, " samples"], source: Source
-    ) -> Shaped[np.ndarray, " samples"]:
+    def _dates(self, values: Cells, source: Source) -> Cells:
         """Return stamps as datetime64[ns]."""
         dates = values
         if values.dtype.kind == "O":
@@ -166,32 +161,29 @@ class Clock:
             texts = pd.Series(values).str.replace(",", ".")
             parsed = pd.to_datetime(texts, format=self.format, utc=True, errors="coerce")
             dates = parsed.dt.tz_localize(None).to_numpy(dtype="datetime64[ns]")
-        self._check(np.isnat(dates), values, source)
+        _check(np.isnat(dates), values, self.label, source)
         return dates.astype("datetime64[ns]")
 
-    def _of_day(self, values: Shaped[np.ndarray, " samples"], source: Source) -> Seconds:
+    def _of_day(self, values: Cells, source: Source) -> Seconds:
         """Return times of the day [s]."""
         import pandas as pd
 
         parts = pd.Series(values, dtype=object).astype(str).str.extract(_CLOCK)
-        self._check(parts[0].isna().to_numpy(), values, source)
+        _check(parts[0].isna().to_numpy(), values, self.label, source)
         seconds = parts[2].str.replace(",", ".").astype(float)
         half = parts[3].str[:1].str.lower()
         as_read = parts[0].astype(float)
         hours = np.where(half.isna(), as_read, as_read % 12 + 12.0 * (half == "p"))
         return np.asarray(hours * _HOUR + parts[1].astype(float) * 60.0 + seconds, float)
 
-    def _check(
-        self, bad: Shaped[np.ndarray, " samples"], values: Shaped[np.ndarray, " samples"], source: Source
-    ) -> None:
-        """Raise RecordingError if a stamp is no time."""
-        if bad.any():
-            first = int(np.argmax(bad))
-            cell = values[first]
-            has = "no time" if is_missing(cell) else f"{str(cell)[:40]!r}, which is no time,"
-            raise source.error(
-                f"column {self.label!r} has {has} at {source.locate(first)}; repair it, or {IGNORE}"
-            )
+
+def _check(bad: Cells, values: Cells, label: str, source: Source) -> None:
+    """Raise RecordingError if a stamp is no time."""
+    if bad.any():
+        first = int(np.argmax(bad))
+        cell = values[first]
+        has = "no time" if is_missing(cell) else f"{str(cell)[:40]!r}, which is no time,"
+        raise source.error(f"column {label!r} has {has} at {source.locate(first)}; repair it, or {IGNORE}")
 
 
 def is_missing(cell: object) -> bool:
@@ -207,11 +199,7 @@ def _date_format(text: str) -> str:
     from pandas.tseries.api import guess_datetime_format
 
     text = text.replace(",", ".")
-    try:
-        float(text)
-    except ValueError:
-        pass
-    else:
+    if is_number(text):
         return ""
     if not pd.isna(pd.to_datetime(text, format="ISO8601", errors="coerce")):
         return "ISO8601"
@@ -219,20 +207,16 @@ def _date_format(text: str) -> str:
     return guess_datetime_format(text) or guess_datetime_format(text, dayfirst=True) or ""
 
 
-def _since_first(values: Shaped[np.ndarray, " samples"], label: str, source: Source) -> Seconds:
+def _since_first(values: Cells, label: str, source: Source) -> Seconds:
     """Return stamps minus the first: 19-digit integers lose digits as floats, their differences do not."""
     if is_numeric(values) and values.dtype.kind in "iu":
         return _unwrapped((values - values[0]).astype(np.int64)).astype(float)
     numbers = as_float(values, label, source)
-    bad = np.flatnonzero(~np.isfinite(numbers))
-    if bad.size:
-        raise source.error(
-            f"column {label!r} has no time at {source.locate(int(bad[0]))}; repair it, or {IGNORE}"
-        )
+    _check(~np.isfinite(numbers), values, label, source)
     return _unwrapped(numbers - numbers[0])
 
 
-def _unwrapped(counts: Shaped[np.ndarray, " samples"]) -> Shaped[np.ndarray, " samples"]:
+def _unwrapped(counts: Cells) -> Cells:
     """Return the continued counts of a counter that restarts from zero, even if samples are lost there."""
     steps = np.diff(counts)
     back = steps < 0
@@ -275,7 +259,7 @@ def _set_by_an_hour(times: Seconds, label: str) -> tuple[Seconds, tuple[str, ...
     return times - _HOUR * shift, (note,)
 
 
-def _common_step(values: Shaped[np.ndarray, " samples"]) -> int:
+def _common_step(values: Cells) -> int:
     """Return the greatest common divisor of the differences of whole numbers."""
     return int(np.gcd.reduce(np.diff(values).astype(np.int64)))
 
@@ -295,7 +279,7 @@ def _decimal_step(values: Seconds) -> float:
 
 def _unit(
     column: Column,
-    values: Shaped[np.ndarray, " samples"],
+    values: Cells,
     time_unit: str | None,
     rate: float | None,
     source: Source,
@@ -303,13 +287,11 @@ def _unit(
     """Return the unit of the stamps, and notes: stated, the only plausible one, or implied by the rate."""
     name, stated = f"column {column.label!r}", time_unit or column.unit
     if stated is not None:
-        try:
-            convert(1.0, stated, "s")
-        except UnitError as error:
-            raise UnitError(
-                f"{source.label}: {name}: {stated!r} is not a unit of time; pass time_unit= (--time-unit): "
-                "s, ms, us, ns, min, h, or a multiple such as '0.1 ms'"
-            ) from error
+        if not is_unit(stated, "s"):
+            raise source.unit_error(
+                f"{name}: {stated!r} is not a unit of time; pass time_unit=: s, ms, us, ns, min, h, or a "
+                "multiple such as '0.1 ms'"
+            )
         if column.unit is None or same_unit(column.unit, stated):
             return stated, ()
         return stated, (f"{name} read in {stated} as requested, although labelled {column.unit}",)
@@ -338,6 +320,6 @@ def _unit(
         note = f"{name} has no unit, and none fits {rate:g} Hz ({listed})"
         return f"{step!r} s", (f"{note}; assuming counts of {step:.6g} s each",)
     raise source.error(
-        f"{name} has no unit, and it is ambiguous ({listed}); pass time_unit= (--time-unit), such as s, ms "
-        f"or '0.1 ms', or rate= (--rate), or write the unit in the header: `{column.name} [s]`"
+        f"{name} has no unit, and it is ambiguous ({listed}); pass time_unit=, such as s, ms or '0.1 ms', or "
+        f"rate=, or write the unit in the header: `{column.name} [s]`"
     )
