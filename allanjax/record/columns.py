@@ -69,7 +69,7 @@ _UNIT_SUFFIXES = {
 # Names of time stamps, alone, with a unit at the end, and of one part of a pair of seconds and nanoseconds.
 _TIME = re.compile(
     r"(?:.*_)?(?:time|timestamp|time_stamp|stamp)(?:_(?:fine|unix|utc|gps|sample|gyro|gyr|accel|acc|imu))*"
-    r"|t|\w*timestamp"
+    r"|t|ts|\w*timestamp"
 )
 _TIME_SUFFIX = re.compile(
     r"(.+?)_(s|sec|secs|seconds|ms|msec|us|usec|ns|nsec|nanoseconds|min|minutes|h|hours|days)"
