@@ -222,17 +222,7 @@ class AllanAccumulator:
         if not self.n:
             raise AllanjaxError(f"{self.name or 'the stream'} has no samples yet; add some with update()")
         living = self._living()
-        return look(
-            living._windows,
-            living.axes,
-            self.rate,
-            name=self.name,
-            as_is=as_is,
-            vibrating=vibrating,
-            ends=living._ends,
-            dead=self.dead,
-            given=self.given,
-        )
+        return look(living, living._windows, living._ends, self.dead, as_is=as_is, vibrating=vibrating)
 
     def fit(
         self,

@@ -1,19 +1,14 @@
-"""Events, in which a recording differs from its rest: their effect, and the quiet parts between them.
-
-Events are cut out, filled in on one axis, or kept, or the recording is refused.
-"""
+"""Events, in which a recording differs from its rest: their effect, and the quiet parts between them."""
 
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Literal
 
 import numpy as np
 from jaxtyping import Float
 
-from allanjax.base.wording import plain
-from allanjax.inspection.facts import Consequence, Fact, amount, grid, listed, seconds, span
 from allanjax.inspection.levels import Levels
 from allanjax.inspection.windows import (
     LENGTHS,
@@ -29,8 +24,6 @@ from allanjax.inspection.windows import (
     shortest_half,
     steps_of,
 )
-from allanjax.record.completion import MOST_MISSING
-from allanjax.record.recording import Axis
 
 # Scores beyond which windows differ from the rest. In the clean records on which they were set (see
 # benchmarks/studies/first_look.py) the largest were 6.8 except for telegraph noise, and 10.2 for steps.
@@ -77,35 +70,6 @@ _CHANGED = 8.0
 _ONE_WAY = 0.6
 # Number of windows up to which an event is sudden, and share of the record up to which it is short.
 _SUDDEN, _SHORT = 6, 0.02
-# Least share of the recording that coefficients may be estimated from.
-_LEAST_SHARE = 0.3
-# A ratio of the noise above which the quieter one is nearly none.
-_FAR = 1e3
-# Ways to obtain coefficients nevertheless.
-_REMEDY = (
-    "select a part with --start and --stop (start=, stop=, .between), use all samples with --as-is "
-    "(as_is=True), or run allanjax critique for the causes"
-)
-# Clauses about one event and about several: of another noise, and at an instant; of each kind, in the order
-# in which they are reported.
-_NOISE = "{spans} is {ratio} {kind} than the rest", "{spans} are {ratio} {kind} than the rest"
-_INSTANT = "a {kind} of {size} at {places} ({axis})", "{count} {kind}s of up to {size} ({axis}) at {places}"
-_CLAUSES = {
-    "noisier": _NOISE,
-    "quieter": _NOISE,
-    "silent": ("{axis} does not change at all in {spans}",) * 2,
-    "warm-up": ("warm-up drift until {end} s ({axis} starts {size} off)",) * 2,
-    "step": _INSTANT,
-    "shift": ("{axis} shifts by {size} in {spans}", "the mean shifts by up to {size} ({axis}) in {spans}"),
-    "knock": _INSTANT,
-    "spike": (
-        "an outlying sample {size} off at {places} ({axis})",
-        "{count} outlying samples of up to {size} off ({axis}) at {places}",
-    ),
-}
-
-#: Samples by axis name: ranges from the first index up to but not including the last.
-Places = Mapping[str, tuple[tuple[int, int], ...]]
 #: Kinds of events, and those that change the mean only.
 Kind = Literal["noisier", "quieter", "silent", "knock", "spike", "step", "warm-up", "shift"]
 MOVES = ("step", "shift", "warm-up")
@@ -326,9 +290,9 @@ class Event(Run):
 
 
 def quiet_parts(
-    windows: Windows, sensors: Sequence[str], may_move: bool = False, levels: Levels | None = None
-) -> tuple[tuple[Event, ...], tuple[tuple[int, int], ...]]:
-    """Return the events of a recording in order, and the parts without those that matter, as sample indices.
+    windows: Windows, sensors: Sequence[str], may_move: bool, levels: Levels | None
+) -> tuple[tuple[Event, ...], list[tuple[int, int]]]:
+    """Return the events of a recording in order, and the parts without those that matter, as runs of windows.
 
     Events on a single axis and slight events do not affect the samples of other axes. Each remaining part is
     searched again, since the faint end of an event is only detected beside quiet windows. If the mean may
@@ -356,14 +320,13 @@ def quiet_parts(
         calm = _between(cuts, len(part))
         longest = max((b - a for a, b in calm), default=0)
         pending += [(first + a, first + b, rounds + 1) for a, b in calm if b - a >= min(_FEWEST, longest)]
-    first_samples = windows.edges.tolist()
-    quiet = tuple((first_samples[a], first_samples[b]) for a, b in sorted(parts))
     found = _events(windows, _joined(cut) + _joined(kept))
     for s in loud:
         assert levels is not None
-        every, edges = tuple(range(len(sensors))), (first_samples[s.first], first_samples[s.last])
-        found.append(Event(*edges, "noisier", (), every, levels.axis, levels.ratio))
-    return tuple(sorted(found, key=lambda event: event.first)), quiet
+        first, last = windows.edges[[s.first, s.last]].tolist()
+        every = tuple(range(len(sensors)))
+        found.append(Event(first, last, "noisier", (), every, levels.axis, levels.ratio))
+    return tuple(sorted(found, key=lambda event: event.first)), sorted(parts)
 
 
 def _between(cut: Sequence[Run], count: int) -> list[tuple[int, int]]:
@@ -485,151 +448,3 @@ def _moved(windows: Windows, s: Run, events: Sequence[Run]) -> tuple[Kind, int, 
     span = np.ptp(windows.mean[max(s.first - 1, 0) : s.last + 1], axis=0)
     axis = int(np.argmax(span / usual))
     return "shift", axis, float(span[axis])
-
-
-class Treatment:
-    """How the events of a recording of n samples of these axes at this rate [Hz] are handled.
-
-    Attributes:
-        as_is: whether all samples are used in any case.
-        quiet: parts without the events that must be cut out, as sample indices.
-        cut, alone, harmless: the events that are cut out; that affect a single axis; that are kept, since
-            they change no coefficient, or are how it varies.
-        possible: whether enough remains without the events that must be cut out.
-        doubt: why a long quiet part may not be the sensor at rest, in words; "" if it is, or there is none.
-    """
-
-    def __init__(
-        self,
-        events: Sequence[Event],
-        quiet: Sequence[tuple[int, int]],
-        axes: Sequence[Axis],
-        rate: float,
-        n: int,
-        as_is: bool,
-        levels: Levels | None,
-    ) -> None:
-        self.axes, self.rate, self.n, self.as_is, self.quiet = axes, rate, n, as_is, quiet
-        matter = [e for e in events if e.matters]
-        self.cut = [e for e in matter if e.is_cut]
-        self.alone = [e for e in matter if e.is_of_one_axis and not e.is_slight]
-        self.harmless = [e for e in events if e.is_slight or not e.matters]
-        self.doubt = "" if levels is None else levels.doubt
-        # A quiet part beside a loud one is the sensor, however short it is.
-        least = 0.0 if levels is not None else _LEAST_SHARE * n
-        self.possible = sum(b - a for a, b in quiet) >= least and not self.doubt
-
-    @property
-    def parts(self) -> tuple[tuple[float, float], ...]:
-        """Start and end [s] of the parts that are used, rounded inwards; empty if all samples are used."""
-        if not self.cut or not self.possible or self.as_is:
-            return ()
-        step, whole = grid(self.n / self.rate), self.n / self.rate
-        starts = [np.ceil(a / self.rate / step - 1e-9) * step if a else 0.0 for a, _ in self.quiet]
-        stops = [np.floor(b / self.rate / step + 1e-9) * step if b < self.n else whole for _, b in self.quiet]
-        return tuple((round(float(a), 9), round(float(b), 9)) for a, b in zip(starts, stops, strict=True))
-
-    @property
-    def lost(self) -> dict[str, tuple[tuple[int, int], ...]]:
-        """Samples of a single axis that are filled in from its other samples, if enough of these remain."""
-        ranges = {name: tuple((e.first, e.last) for e in of) for name, of in self._alone().items()}
-        most = 0.0 if self.as_is else MOST_MISSING * self.n
-        return {name: of for name, of in ranges.items() if sum(b - a for a, b in of) < most}
-
-    def describe(self, events: Sequence[Event]) -> str:
-        """Events in words, e.g. "0–5 s is 9 times noisier than the rest, a step of 1 deg/s at 9 s"."""
-        by_kind = [(kind, [e for e in events if e.kind == kind]) for kind in _CLAUSES]
-        return ", ".join(self._clause(kind, of) for kind, of in by_kind if of)
-
-    @property
-    def refusal(self) -> Fact | None:
-        """Why there are no coefficients; None if there are."""
-        if self.possible or not self.cut or self.as_is:
-            return None
-        if self.doubt:
-            means = f"no coefficients, as the quiet part may not be the sensor: {self.doubt}"
-            remedy = f"select a part with {self._choice()}"
-        else:
-            a, b = max(self.quiet, key=lambda part: part[1] - part[0])
-            longest = span(a / self.rate, b / self.rate, grid(self.n / self.rate))
-            means = (
-                f"no coefficients, as the undisturbed parts are less than {100.0 * _LEAST_SHARE:.0f} % of "
-                f"the recording (the longest is {longest})"
-            )
-            remedy = _REMEDY
-        names = tuple(axis.name for axis in self.axes)
-        fact = self._fact(self.cut, names, "not a measurement", self.describe(self.cut), means)
-        return dataclasses.replace(fact, remedy=remedy)
-
-    def facts(self, refusal: Fact | None) -> list[Fact]:
-        """Return facts about the events that matter, including why there are no coefficients."""
-        facts, every = [], tuple(axis.name for axis in self.axes)
-        if self.cut and refusal:
-            facts.append(refusal)
-        elif self.cut:
-            step, parts = grid(self.n / self.rate), self.parts
-            used = listed([span(*part, step) for part in parts], len(parts))
-            then = f"coefficients are estimated from {used}" if used else "all samples are used"
-            out = self.n / self.rate - sum(b - a for a, b in parts) if parts else None
-            fact = self._fact(self.cut, every, "none", self.describe(self.cut), then)
-            facts.append(dataclasses.replace(fact, size=out, unit="s"))
-        for name, own in self._alone().items():
-            then, consequence = "all samples are used", "none"
-            if name in self.lost:
-                then, consequence = "these samples are left out and filled in", "widened"
-            elif not self.as_is:
-                then = f"this is more than {100.0 * MOST_MISSING:.0f} % of the axis, too much to be filled in"
-                consequence = "not a measurement"
-            text = f"{name} only: {self.describe(own).replace(f' ({name})', '')}"
-            facts.append(self._fact(own, (name,), consequence, text, then))  # type: ignore[arg-type]
-        return facts
-
-    def _choice(self) -> str:
-        """The options that select the longest quiet part, the longest loud part, or all samples."""
-        loud = [(e.first, e.last) for e in self.cut if e.kind == "noisier"]
-        step, chosen = grid(self.n / self.rate), []
-        for parts in (self.quiet, loud):
-            first, last = max(parts, key=lambda part: part[1] - part[0])
-            start, stop = (seconds(end / self.rate, step) for end in (first, last))
-            chosen.append(f"--start {start} --stop {stop} (start={start}, stop={stop})")
-        return f"{', '.join(chosen)}, or use all samples with --as-is (as_is=True)"
-
-    def _alone(self) -> dict[str, list[Event]]:
-        """Events on a single axis by its name."""
-        names = dict.fromkeys(self.axes[e.axes[0]].name for e in self.alone)
-        return {name: [e for e in self.alone if self.axes[e.axes[0]].name == name] for name in names}
-
-    def _fact(
-        self,
-        events: Sequence[Event],
-        names: tuple[str, ...],
-        consequence: Consequence,
-        finding: str,
-        meaning: str,
-    ) -> Fact:
-        spans = tuple((e.first / self.rate, e.last / self.rate) for e in events)
-        return Fact("disturbances", finding, names, consequence, spans=spans, meaning=meaning)
-
-    def _clause(self, kind: str, events: Sequence[Event]) -> str:
-        """Return a clause about all events of one kind."""
-        step = grid(self.n / self.rate)
-        # Time spans, rounded; outwards if the rounded ends were the same.
-        ends = [(e.first / self.rate / step, e.last / self.rate / step) for e in events]
-        ends = [x if round(x[0]) != round(x[1]) else (np.floor(x[0]), np.ceil(x[1])) for x in ends]
-        middles = [seconds(0.5 * (e.first + e.last) / self.rate, step) for e in events]
-        largest = max(events, key=lambda e: abs(e.size))
-        axis = self.axes[largest.axis]
-        # Two digits, or three where it is near one.
-        ratio = f"{plain(largest.size, 2 if largest.size >= 2.0 else 3)} times"
-        one, several = _CLAUSES[kind]
-        clause = one if len(events) == 1 else several
-        return clause.format(
-            kind=kind,
-            spans=listed([span(step * first, step * last, step) for first, last in ends]),
-            places=listed([f"{middle} s" for middle in middles]),
-            end=seconds(events[-1].last / self.rate, step),
-            ratio="far" if largest.size > _FAR else ratio,
-            size=amount(abs(largest.size), axis),
-            axis=axis.name,
-            count=len(events),
-        )

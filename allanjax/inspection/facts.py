@@ -67,17 +67,27 @@ class Fact(ByValue):
     @property
     def advice(self) -> str:
         """Meaning and remedy."""
-        return "; ".join(filter(None, (self.meaning, self.remedy)))
+        return clauses(self.meaning, self.remedy)
 
     @property
     def text(self) -> str:
         """Finding, meaning and remedy."""
-        return "; ".join(filter(None, (self.finding, self.advice)))
+        return clauses(self.finding, self.advice)
 
     @property
     def grave(self) -> bool:
         """Whether the coefficients of the affected axes are not a measurement of the sensor."""
         return self.consequence == NOT_A_MEASUREMENT
+
+
+def clauses(*parts: str) -> str:
+    """Return the parts that are not empty as clauses of one sentence."""
+    return "; ".join(filter(None, parts))
+
+
+def names_of(axes: Iterable[Axis]) -> tuple[str, ...]:
+    """Return the names of axes."""
+    return tuple(axis.name for axis in axes)
 
 
 def ordered(facts: Iterable[Fact]) -> tuple[Fact, ...]:

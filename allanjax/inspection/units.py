@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import dataclasses
 import itertools
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Sequence
 from typing import NamedTuple, TypeAlias
 
 import numpy as np
@@ -18,7 +18,7 @@ from jaxtyping import Float
 from allanjax.base.earth import EARTH_RATE, STANDARD_GRAVITY
 from allanjax.base.wording import plain
 from allanjax.inspection.facts import NOT_A_MEASUREMENT, Consequence, Fact
-from allanjax.inspection.windows import DEG, OfAxes
+from allanjax.inspection.windows import DEG, OfAxes, Sampled, Windows, mean_squares
 from allanjax.record.recording import Axis, scales_of
 from allanjax.record.units import COUNT_SIZES, SAMPLE_UNITS, SENSORS, Sensor, parse_sample_unit, unit_scale
 
@@ -122,7 +122,7 @@ class _Shown:
             user gave none.
     """
 
-    axes: tuple[Axis, ...]
+    axes: Sequence[Axis]
     rate: float
     noise: float
     mean: float | None = None
@@ -165,38 +165,32 @@ class _Units(NamedTuple):
     usual: _OfUnits
 
 
-def units_of_record(
-    axes: Sequence[Axis],
-    rate: float,
-    mean: OfAxes,
-    white: Float[np.ndarray, "scales axes"],
-    steps: OfAxes,
-    moving: Collection[Sensor],
-    vibrating: bool,
-    given: Mapping[Sensor, float],
-) -> list[Fact]:
-    """Return facts about units that are in doubt in a recording.
+def units_of_record(sampled: Sampled, part: Windows, steps: OfAxes, moving: Collection[Sensor]) -> list[Fact]:
+    """Return facts about units that are in doubt in a recording or stream.
 
     Args:
-        axes, rate: axes, and sample rate [Hz].
-        mean, steps: mean, and step of the output (0 for none), of each axis [rad/s or m/s²].
-        white: Allan deviation times root of cluster time, for clusters up to a second [rad/√s or m/s/√s].
-        moving: sensors that seem to move.
-        vibrating: whether the platform is meant to move.
-        given: as in `Recording`.
+        sampled: the recording or stream.
+        part: windows of its longest part.
+        steps: step of the output of each axis [rad/s or m/s²]; 0 for none.
+        moving: sensors that seem to move, or are meant to.
     """
+    axes, rate = sampled.axes, sampled.rate
+    # Allan deviation times the root of the cluster time, for cluster times up to a second.
+    squares, time = mean_squares(part), 2.0 ** np.arange(len(part.power)) / rate
+    known = np.isfinite(squares).any(axis=(1, 2)) & (time <= max(1.0, time[0]))
+    white = np.sqrt(np.nanmean(squares[known], axis=1) / 2.0 * time[known, None])
+    least, most, mean = white.min(axis=0), white.max(axis=0), part.average
     facts = []
     for pair in itertools.zip_longest(*(groups(axes, sensor) for sensor in SENSORS)):
         shown = []
         for which in filter(None, pair):
-            sensor, step = axes[which[0]].sensor, steps[which]
+            step, given = steps[which], sampled.given.get(axes[which[0]].sensor)
             # Motion is not white, but noise in another unit still is.
-            flat = np.median((white.max(axis=0) - _FLAT * white.min(axis=0))[which]) < 0.0
-            moves = vibrating or "accel" in moving or ("gyro" in moving and not flat)
+            flat = np.median((most - _FLAT * least)[which]) < 0.0
+            moves = "accel" in moving or ("gyro" in moving and not flat)
             alike = float(step[0]) if np.allclose(step, step[0], rtol=_PRECISION, atol=0.0) else 0.0
-            noise, size = np.median(white.min(axis=0)[which]), np.linalg.norm(mean[which])
-            own = tuple(axes[k] for k in which)
-            shown.append(_Shown(own, rate, float(noise), float(size), alike, moves, given.get(sensor)))
+            noise, size = float(np.median(least[which])), float(np.linalg.norm(mean[which]))
+            shown.append(_Shown([axes[k] for k in which], rate, noise, size, alike, moves, given))
         facts += _doubts(shown)
     return facts
 
@@ -217,7 +211,7 @@ def units_of_curve(
     for sensor in SENSORS:
         which = [k for k, axis in enumerate(axes) if axis.sensor == sensor]
         if which:
-            own = tuple(axes[k] for k in which)
+            own = [axes[k] for k in which]
             word = 1.0 if sensor in given else None
             found.append(_Shown(own, 1.0 / time[0], float(np.median(white[which])), given=word))
     return _doubts(found)

@@ -10,16 +10,17 @@ records, whatever their noise; its threshold is a number of standard deviations.
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Iterator, Sequence
-from typing import NamedTuple, TypeAlias
+from collections.abc import Iterator, Mapping, Sequence
+from typing import NamedTuple, Protocol, TypeAlias
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from allanjax.base.wording import plain
-from allanjax.inspection.facts import amount
+from allanjax.inspection.facts import NOT_A_MEASUREMENT, Fact, amount, names_of
 from allanjax.record.completion import runs_of
 from allanjax.record.recording import Axis
+from allanjax.record.units import Sensor
 
 #: Largest number of windows; a long recording has between half as many and so many.
 MOST = 1024
@@ -74,6 +75,26 @@ _OfWindows: TypeAlias = Float[np.ndarray, "w axes"]
 Scores: TypeAlias = Float[np.ndarray, "groups places"]
 
 
+class Sampled(Protocol):
+    """A recording or a stream: what it is of, whatever its samples."""
+
+    @property
+    def name(self) -> str:
+        """Name for display."""
+
+    @property
+    def axes(self) -> Sequence[Axis]:
+        """Axes of the samples."""
+
+    @property
+    def rate(self) -> float:
+        """Sample rate [Hz]."""
+
+    @property
+    def given(self) -> Mapping[Sensor, float]:
+        """Sensors whose unit was given, as in `Recording`."""
+
+
 @dataclasses.dataclass(frozen=True, eq=False)
 class Windows:
     """Adjacent windows of a recording, with statistics of each.
@@ -109,12 +130,10 @@ class Windows:
             size = SHORTEST
             while len(values) // size > MOST:
                 size *= 2
-        whole = len(values) // size
-        step = max(_AT_ONCE // size, 1)
-        parts = [
-            _statistics(values[k * size : min(k + step, whole) * size], size, size)
-            for k in range(0, whole, step)
-        ]
+        whole = len(values) // size * size
+        step = max(_AT_ONCE // size, 1) * size
+        firsts = range(0, whole, step)
+        parts = [_statistics(values[k : min(k + step, whole)], size, size) for k in firsts]
         joined = _statistics(values[:0], size, size)._joined(*parts)
         resolution = np.full(values.shape[1], np.inf)
         if len(values) > 1:
@@ -122,8 +141,7 @@ class Windows:
             d = np.diff(first, axis=0)
             # Differences due to floating-point rounding are not steps.
             resolution = np.where(d > 1e-9 * np.ptp(first, axis=0), d, np.inf).min(axis=0)
-        rest = np.array(values[whole * size :])
-        return dataclasses.replace(joined, resolution=resolution, rest=rest)
+        return dataclasses.replace(joined, resolution=resolution, rest=np.array(values[whole:]))
 
     def __len__(self) -> int:
         return len(self.count)
@@ -133,6 +151,15 @@ class Windows:
         """Share of the samples in each window that are equal to the one before."""
         compared = (SHORTEST - 1) * (self.count // SHORTEST)
         return self.repeats / np.maximum(compared, 1)[:, None]
+
+    @property
+    def average(self) -> OfAxes:
+        """Mean of all samples but those after the last window."""
+        return self.averaged(self.mean)
+
+    def averaged(self, values: _OfWindows) -> OfAxes:
+        """Mean of what there is of each window over the windows, weighted by their samples."""
+        return np.average(values, axis=0, weights=self.count)
 
     @property
     def n(self) -> int:
@@ -147,10 +174,11 @@ class Windows:
     def updated(self, values: Values) -> Windows:
         """These windows and those of the samples that follow, twice as long once there would be too many."""
         held, left = self, np.concatenate([self.rest, values])
-        while (free := MOST - len(held)) * held.size + held.size <= len(left):
-            taken = free * held.size
-            held = held._joined(Windows.of(left[:taken], held.size))._coarser()
-            left = left[taken:]
+        wanted = (MOST - len(held)) * held.size
+        while len(left) >= wanted + held.size:
+            held = held._joined(Windows.of(left[:wanted], held.size))._coarser()
+            left = left[wanted:]
+            wanted = (MOST - len(held)) * held.size
         return held._joined(Windows.of(left, held.size))
 
     def merge(self, right: Windows) -> Windows:
@@ -193,11 +221,9 @@ class Windows:
 
     def _joined(self, *others: Windows) -> Windows:
         """Windows of this piece followed by those of others, of the same size."""
-        pieces = (self, *others)
-        joined = {
-            name: np.concatenate([getattr(piece, name) for piece in pieces], axis=along)
-            for name, along in _ALONG.items()
-        }
+        pieces, joined = (self, *others), {}
+        for name, along in _ALONG.items():
+            joined[name] = np.concatenate([getattr(piece, name) for piece in pieces], axis=along)
         resolution = np.min([piece.resolution for piece in pieces], axis=0)
         return Windows(self.size, **joined, resolution=resolution, rest=pieces[-1].rest)
 
@@ -399,23 +425,19 @@ def motions(windows: Windows, axes: Sequence[Axis], rate: float) -> list[Motion]
     changes = [((1 << k) / rate, np.nanmean(within[k], axis=0)) for k in known]
     sensors = [axis.sensor for axis in axes]
     changes += [(s.lag * windows.size / rate, (s.step**2).mean(axis=1)) for s in steps_of(windows, sensors)]
-    # Limits follow white noise up to 1 s; the rms difference of two means is √2 times the Allan deviation.
-    tests = [
-        (
-            f"changes by {{}} rms between consecutive {plain(time, 2)} s averages",
-            np.sqrt(square),
-            AT_REST,
-            2.0 / min(time, 1.0),
-        )
-        for time, square in changes
-        if _SHORTEST <= time <= _LONGEST
-    ]
-    tests += [("drifts over a range of {}", np.ptp(mean, axis=0), WANDERS, 1.0)]
-    tests += [("varies by {} rms", rms_within(windows), SHAKES, 1.0)]
+    tests = []
+    for time, square in changes:
+        if _SHORTEST <= time <= _LONGEST:
+            how = f"changes by {{}} rms between consecutive {plain(time, 2)} s averages"
+            # Limits follow white noise up to 1 s; the rms difference of two means is √2 times the Allan
+            # deviation.
+            tests.append((how, np.sqrt(square), AT_REST, np.sqrt(2.0 / min(time, 1.0))))
+    tests.append(("drifts over a range of {}", np.ptp(mean, axis=0), WANDERS, 1.0))
+    tests.append(("varies by {} rms", rms_within(windows), SHAKES, 1.0))
     evidence = []
-    for how, values, limits, square in tests:
+    for how, values, limits, factor in tests:
         for k, axis in enumerate(axes):
-            limit = limits[axis.sensor] * np.sqrt(square)
+            limit = limits[axis.sensor] * factor
             if values[k] > limit:
                 moved, most = how.format(amount(values[k], axis)), amount(limit, axis)
                 words = f"{axis.name} {moved}; a sensor at rest stays below {most}"
@@ -431,23 +453,25 @@ def rms_within(windows: Windows, most: int | None = None) -> OfAxes:
     return np.sqrt((power.sum(axis=1) * (scales / 2.0)[:, None]).sum(axis=0) / windows.count.sum())
 
 
-#: What follows if a sensor moves.
-IN_MOTION = "this is not a static recording, and the coefficients describe the motion, not the sensor"
-
-
-def motion_warning(moving: Sequence[Motion], axes: Sequence[Axis], disturbed: bool) -> tuple[str, str]:
-    """Return the numbers that show motion, and what to do about it.
+def motion_fact(moving: Sequence[Motion], axes: Sequence[Axis], disturbed: bool) -> Fact:
+    """Return the fact about this motion.
 
     `disturbed` is whether disturbances prevent coefficients even if the motion is intended.
     """
     # The strongest of each sensor, which is the last.
     reasons = {axes[m.axis].sensor: m.words for m in moving}
+    concerned = {m.axis for m in moving}
     too = (" --as-is", ", as_is=True") if disturbed else ("", "")
-    remedy = (
-        "record it at rest, or select a part at rest with --start and --stop; if the motion is intended, "
-        f"pass --vibrating{too[0]} (vibrating=True{too[1]})"
+    return Fact(
+        "at rest",
+        ", and ".join(reasons.values()),
+        # If two axes show motion, all axes move.
+        names_of(axes[k] for k in concerned) if len(concerned) == 1 else names_of(axes),
+        NOT_A_MEASUREMENT,
+        meaning="this is not a static recording, and the coefficients describe the motion, not the sensor",
+        remedy="record it at rest, or select a part at rest with --start and --stop; if the motion is "
+        f"intended, pass --vibrating{too[0]} (vibrating=True{too[1]})",
     )
-    return ", and ".join(reasons.values()), remedy
 
 
 def runs(mask: Which, gap: int) -> list[tuple[int, int]]:
