@@ -10,6 +10,7 @@ from __future__ import annotations
 import dataclasses
 import itertools
 from collections.abc import Collection, Sequence
+from functools import cached_property
 from typing import NamedTuple, TypeAlias
 
 import numpy as np
@@ -17,7 +18,7 @@ from jaxtyping import Float
 
 from allanjax.base.earth import EARTH_RATE, STANDARD_GRAVITY
 from allanjax.base.wording import plain
-from allanjax.inspection.facts import NOT_A_MEASUREMENT, Consequence, Fact
+from allanjax.inspection.facts import NOT_A_MEASUREMENT, Consequence, Fact, names_of
 from allanjax.inspection.windows import DEG, OfAxes, Sampled, Windows, mean_squares
 from allanjax.record.recording import Axis, scales_of
 from allanjax.record.units import COUNT_SIZES, SAMPLE_UNITS, SENSORS, Sensor, parse_sample_unit, unit_scale
@@ -31,9 +32,9 @@ class _Law(NamedTuple):
     shoulder: float
     weight: float = 1.0
 
-    def log_density(self, value: np.ndarray) -> np.ndarray:
+    def log_density(self, value: np.ndarray | float) -> np.ndarray:
         """Logarithm of the density times the weight."""
-        x, low, high = np.log(value), np.log(self.low), np.log(self.high)
+        x, (low, high) = np.log(value), np.log([self.low, self.high])
         off = (x - np.clip(x, low, high)) / self.shoulder
         return np.log(self.weight / (high - low + np.sqrt(2.0 * np.pi) * self.shoulder)) - 0.5 * off**2
 
@@ -104,7 +105,19 @@ _PRECISION, _COMMON = 1e-3, 0.1
 # Noise is white if its Allan deviation times root of cluster time varies by less than this factor.
 _FLAT = 6.0
 
-_SENSORS: dict[Sensor, str] = {"gyro": "gyros", "accel": "accelerometers"}
+
+class _Units(NamedTuple):
+    """Units that samples may be in, that of the label first.
+
+    Attributes:
+        names: the units; "--rate 10" for increments at that rate.
+        factors: factor of samples in each unit to samples as read; nan if it is unknown.
+        usual: how often programs write each.
+    """
+
+    names: tuple[str, ...]
+    factors: _OfUnits
+    usual: _OfUnits
 
 
 @dataclasses.dataclass(frozen=True)
@@ -136,6 +149,11 @@ class _Shown:
         return self.axes[0].sensor
 
     @property
+    def plural(self) -> str:
+        """Sensors of this kind in words."""
+        return "gyros" if self.sensor == "gyro" else "accelerometers"
+
+    @property
     def unit(self) -> str:
         """Unit of the samples as read."""
         return parse_sample_unit(self.axes[0].unit, self.sensor).name
@@ -150,19 +168,29 @@ class _Shown:
         unit = "deg/√h" if self.sensor == "gyro" else "m/s/√h"
         return f"{plain(factor * self.noise / _ROOT_HOUR[self.sensor], 3)} {unit}"
 
-
-class _Units(NamedTuple):
-    """Units that samples may be in, that of the label first.
-
-    Attributes:
-        names: the units; "--rate 10" for increments at that rate.
-        factors: factor of samples in each unit to samples as read; nan if it is unknown.
-        usual: how often programs write each.
-    """
-
-    names: tuple[str, ...]
-    factors: _OfUnits
-    usual: _OfUnits
+    @cached_property
+    def units(self) -> _Units:
+        """Units that the samples may be in."""
+        own = parse_sample_unit(self.axes[0].unit, self.sensor)
+        factors = {own.name: 1.0}
+        for quantity, names in SAMPLE_UNITS[self.sensor].items():
+            # A curve is of rates.
+            if quantity == "rate" or self.mean is not None:
+                per = (self.rate if quantity == "increment" else 1.0) / self.scale
+                factors |= {name: unit_scale(name) * per for name in names if name != own.name}
+        step = self.step / self.scale
+        if step > 0.5 and abs(step - round(step)) < _PRECISION:
+            factors[_COUNTS] = np.nan
+        factors[_OTHER] = np.nan
+        usual = dict.fromkeys(factors, _SELDOM)
+        for pair, share in _PAIRS.items():
+            name = pair[SENSORS.index(self.sensor)]
+            if name in usual:
+                usual[name] += share
+        if own.quantity == "increment" and self.sensor == "accel":
+            wrong = {f"--rate {self.rate / ratio:g}": 1.0 / ratio for ratio in _RATES}
+            factors, usual = factors | wrong, usual | dict.fromkeys(wrong, 1.0)
+        return _Units(tuple(factors), np.array([*factors.values()]), np.array([*usual.values()]))
 
 
 def units_of_record(sampled: Sampled, part: Windows, steps: OfAxes, moving: Collection[Sensor]) -> list[Fact]:
@@ -184,13 +212,13 @@ def units_of_record(sampled: Sampled, part: Windows, steps: OfAxes, moving: Coll
     for pair in itertools.zip_longest(*(groups(axes, sensor) for sensor in SENSORS)):
         shown = []
         for which in filter(None, pair):
-            step, given = steps[which], sampled.given.get(axes[which[0]].sensor)
+            own, step = [axes[k] for k in which], steps[which]
+            noise, size = float(np.median(least[which])), float(np.linalg.norm(mean[which]))
+            alike = float(step[0]) if np.allclose(step, step[0], rtol=_PRECISION, atol=0.0) else 0.0
             # Motion is not white, but noise in another unit still is.
             flat = np.median((most - _FLAT * least)[which]) < 0.0
             moves = "accel" in moving or ("gyro" in moving and not flat)
-            alike = float(step[0]) if np.allclose(step, step[0], rtol=_PRECISION, atol=0.0) else 0.0
-            noise, size = float(np.median(least[which])), float(np.linalg.norm(mean[which]))
-            shown.append(_Shown([axes[k] for k in which], rate, noise, size, alike, moves, given))
+            shown.append(_Shown(own, rate, noise, size, alike, moves, sampled.given.get(own[0].sensor)))
         facts += _doubts(shown)
     return facts
 
@@ -207,14 +235,13 @@ def units_of_curve(
     """
     short = time <= max(1.0, time[0])
     white = (deviation * np.sqrt(time)[:, None])[short].min(axis=0)
-    found = []
+    shown = []
     for sensor in SENSORS:
-        which = [k for k, axis in enumerate(axes) if axis.sensor == sensor]
-        if which:
-            own = [axes[k] for k in which]
-            word = 1.0 if sensor in given else None
-            found.append(_Shown(own, 1.0 / time[0], float(np.median(white[which])), given=word))
-    return _doubts(found)
+        own = [axis for axis in axes if axis.sensor == sensor]
+        if own:
+            noise = np.median([x for x, axis in zip(white, axes, strict=True) if axis.sensor == sensor])
+            shown.append(_Shown(own, 1.0 / time[0], float(noise), given=1.0 if sensor in given else None))
+    return _doubts(shown)
 
 
 def groups(axes: Sequence[Axis], sensor: Sensor) -> list[list[int]]:
@@ -228,130 +255,106 @@ def groups(axes: Sequence[Axis], sensor: Sensor) -> list[list[int]]:
 
 def _doubts(shown: Sequence[_Shown]) -> list[Fact]:
     """Return facts about units that are in doubt: of gyros, of accelerometers, or of both in this order."""
-    every = [_units(x) for x in shown]
-    alone = [_log_likelihood(x, units) for x, units in zip(shown, every, strict=True)]
+    alone = [_log_likelihood(x) for x in shown]
     if len(shown) == 1:
-        odds = [_normalised(alone[0] + np.log(_prior(shown[0], every[0], _TEMPLATE + _LABEL)))]
+        odds = [_normalised(alone[0] + np.log(_prior(shown[0], _TEMPLATE + _LABEL)))]
     else:
-        joint = alone[0][:, None] + alone[1] + _log_ratio(shown, every) + np.log(_joint_prior(shown, every))
-        odds = [_normalised(joint).sum(axis=1), _normalised(joint).sum(axis=0)]
+        joint = _normalised(np.add.outer(*alone) + _log_ratio(*shown) + np.log(_joint_prior(*shown)))
+        odds = [joint.sum(axis=1), joint.sum(axis=0)]
     facts = []
-    for k, (x, units) in enumerate(zip(shown, every, strict=True)):
+    for k, x in enumerate(shown):
         if odds[k][0] >= _TRUSTED:
             continue
-        trusting = _prior(dataclasses.replace(x, given=1.0), units, 0.0)
+        trusting = _prior(dataclasses.replace(x, given=1.0), 0.0)
         impossible = bool(_normalised(alone[k] + np.log(trusting))[0] < _TRUSTED)
-        beside = "".join(_beside(shown[j], every[j], odds[j]) for j in range(len(shown)) if j != k)
-        meaning, remedy = _advice(x, units, odds[k], impossible)
+        found = _finding(x) + "".join(_beside(shown[j], odds[j]) for j in range(len(shown)) if j != k)
+        meaning, remedy = _advice(x, odds[k], impossible)
         # The mean of few accelerometers depends on their tilt; what is given is not refused for the others.
         tilted = x.sensor == "accel" and x.mean is not None and len(x.axes) < 3
         sure = not tilted and (impossible or x.given is None)
         means: Consequence = NOT_A_MEASUREMENT if sure else "none"
-        names = tuple(axis.name for axis in x.axes)
-        fact = Fact(f"{x.sensor} unit", _finding(x) + beside, names, means, meaning=meaning, remedy=remedy)
-        facts.append(fact)
+        names = names_of(x.axes)
+        facts.append(Fact(f"{x.sensor} unit", found, names, means, meaning=meaning, remedy=remedy))
     return facts
 
 
 # --- Probabilities -----------------------------------------------------------------------------------------
 
 
-def _units(x: _Shown) -> _Units:
-    """Return the units that samples may be in."""
-    own = parse_sample_unit(x.axes[0].unit, x.sensor)
-    factors = {own.name: 1.0}
-    for quantity, names in SAMPLE_UNITS[x.sensor].items():
-        # A curve is of rates.
-        if quantity == "rate" or x.mean is not None:
-            per = x.rate if quantity == "increment" else 1.0
-            factors |= {name: unit_scale(name) * per / x.scale for name in names if name != own.name}
-    step = x.step / x.scale
-    factors |= dict.fromkeys([_COUNTS] * bool(step > 0.5 and abs(step - round(step)) < _PRECISION), np.nan)
-    factors[_OTHER] = np.nan
-    often = dict.fromkeys(factors, _SELDOM)
-    for pair, share in _PAIRS.items():
-        name = pair[x.sensor == "accel"]
-        if name in often:
-            often[name] += share
-    if own.quantity == "increment" and x.sensor == "accel":
-        factors |= {f"--rate {x.rate / ratio:g}": 1.0 / ratio for ratio in _RATES}
-        often |= dict.fromkeys([*factors][-len(_RATES) :], 1.0)
-    return _Units(tuple(factors), np.array([*factors.values()]), np.array([*often.values()]))
-
-
-def _prior(x: _Shown, units: _Units, wrong: float) -> _OfUnits:
+def _prior(x: _Shown, wrong: float) -> _OfUnits:
     """Return the probabilities of units before what the sensor shows; `wrong` is that of a wrong label."""
     wrong = wrong if x.given is None else _GIVEN
-    own = np.arange(len(units.names)) == 0
-    return (1.0 - wrong) * own + wrong * units.usual / units.usual.sum()
+    prior = wrong * x.units.usual / x.units.usual.sum()
+    prior[0] += 1.0 - wrong
+    return prior
 
 
-def _joint_prior(shown: Sequence[_Shown], every: Sequence[_Units]) -> Float[np.ndarray, "gyro accel"]:
+def _joint_prior(gyro: _Shown, accel: _Shown) -> Float[np.ndarray, "gyro accel"]:
     """Return the probabilities of the units of both sensors before what they show."""
-    given = [x.given for x in shown if x.given is not None]
+    pairs = [[_PAIRS.get((a, b), _SELDOM**2) for b in accel.units.names] for a in gyro.units.names]
+    usual = np.array(pairs)
+    given = [x.given for x in (gyro, accel) if x.given is not None]
     template = 0.0 if given else _TEMPLATE
-    pairs = np.array([[_PAIRS.get((a, b), _SELDOM**2) for b in every[1].names] for a in every[0].names])
     if len(given) == 1 and abs(given[0] - 1.0) > _PRECISION:
         template = _ONE_WAS_WRONG
-        (pairs if shown[1].given is None else pairs.T)[1:] = 0.0
-    single = [_prior(x, units, _LABEL) for x, units in zip(shown, every, strict=True)]
-    return (1.0 - template) * np.outer(*single) + template * pairs / pairs.sum()
+        (usual if accel.given is None else usual.T)[1:] = 0.0
+    single = np.outer(_prior(gyro, _LABEL), _prior(accel, _LABEL))
+    return (1.0 - template) * single + template * usual / usual.sum()
 
 
-def _log_likelihood(x: _Shown, units: _Units) -> _OfUnits:
+def _log_likelihood(x: _Shown) -> _OfUnits:
     """Return the log-likelihood of each unit from what the sensor itself shows."""
-    counts, other = (np.array([name == kind for name in units.names]) for kind in (_COUNTS, _OTHER))
+    names, factors = np.array(x.units.names), x.units.factors
+    known = np.isfinite(factors)
 
     def of(size: float, laws: _Laws, number: float, laws_of_counts: _Laws) -> _OfUnits:
-        sizes = np.maximum(np.where(np.isfinite(units.factors), size * units.factors, 1.0), _ZERO)
-        in_counts = _mixture(laws_of_counts, np.full_like(sizes, max(number, _ZERO)))
-        anywhere = _mixture(_ANYWHERE, np.ones_like(sizes))
-        return np.where(other, anywhere, np.where(counts, in_counts, _mixture(laws, sizes)))
+        sizes = np.maximum(np.where(known, size * factors, 1.0), _ZERO)
+        likely = np.where(names == _OTHER, _mixture(_ANYWHERE, 1.0), _mixture(laws, sizes))
+        return np.where(names == _COUNTS, _mixture(laws_of_counts, max(number, _ZERO)), likely)
 
-    found, per = np.zeros(len(units.names)), 1.0 / x.scale
+    found = np.zeros(len(names))
     if x.noise > 0.0:
         size, laws = x.noise / _ROOT_HOUR[x.sensor], _NOISE[x.sensor]
         if x.moves:
             # All of it may be motion, as read; more in another unit needs more motion.
             laws = tuple(law._replace(high=max(law.high, size)) for law in laws)
-        found += of(size, laws, x.noise * np.sqrt(x.rate) * per, _NOISE_COUNTS)
+        found += of(size, laws, x.noise * np.sqrt(x.rate) / x.scale, _NOISE_COUNTS)
     whole = DEG if x.sensor == "gyro" else STANDARD_GRAVITY
     if x.mean:
-        found += of(x.mean / whole, _means(x), x.mean * per, _MEAN_COUNTS)
+        found += of(x.mean / whole, _means(x), x.mean / x.scale, _MEAN_COUNTS)
     if x.step > 0.0:
-        steps = np.where(np.isfinite(units.factors), x.step * units.factors / whole, 1e-9)
+        steps = np.where(known, x.step * factors / whole, 1e-9)
         octaves = np.log2(steps[:, None] / _KNOWN[x.sensor])
-        known = (abs(octaves - np.rint(octaves)) < _PRECISION / np.log(2.0)).any(axis=1) & ~(counts | other)
-        by_chance = 2.0 * _PRECISION / np.log(2.0) * octaves.shape[1]
-        found += np.log(1.0 - _COMMON + _COMMON * known / by_chance) + _mixture(_STEP[x.sensor], steps)
+        precision = _PRECISION / np.log(2.0)
+        common = (abs(octaves - np.rint(octaves)) < precision).any(axis=1) & known
+        by_chance = 2.0 * precision * octaves.shape[1]
+        found += np.log(1.0 - _COMMON + _COMMON * common / by_chance) + _mixture(_STEP[x.sensor], steps)
     return found
 
 
 def _means(x: _Shown) -> _Laws:
     """Return the law of the size of the mean [deg/s or g]."""
-    if x.moves:
-        return _TURNING if x.sensor == "gyro" else _MOVING
     if x.sensor == "gyro":
-        return _BIAS
+        return _TURNING if x.moves else _BIAS
+    if x.moves:
+        return _MOVING
     return _TRIAD if len(x.axes) >= 3 else _FEWER
 
 
-def _log_ratio(shown: Sequence[_Shown], every: Sequence[_Units]) -> Float[np.ndarray, "gyro accel"]:
+def _log_ratio(*shown: _Shown) -> Float[np.ndarray, "gyro accel"]:
     """Return the log-likelihood of pairs of units from the ratio of the white noise of the sensors.
 
     It is zero within the range of the ratio: that each noise is one that sensors have is counted already.
     """
-    gyro, accel = (
-        x.noise / _ROOT_HOUR[x.sensor] * units.factors for x, units in zip(shown, every, strict=True)
-    )
+    gyro, accel = (x.noise / _ROOT_HOUR[x.sensor] * x.units.factors for x in shown)
     if any(x.moves or not x.noise for x in shown):
         return np.zeros((len(gyro), len(accel)))
     ratio = gyro[:, None] / accel
     ratio = np.maximum(ratio, np.minimum(ratio / np.minimum(accel / _MEMS, 1.0), 1.0))
-    return np.nan_to_num(_RATIO.log_density(ratio) - _RATIO.log_density(np.ones(1)))
+    return np.nan_to_num(_RATIO.log_density(ratio) - _RATIO.log_density(1.0))
 
 
-def _mixture(laws: _Laws, value: _OfUnits) -> _OfUnits:
+def _mixture(laws: _Laws, value: _OfUnits | float) -> _OfUnits:
     """Logarithm of the density of a mixture."""
     return np.logaddexp.reduce([law.log_density(value) for law in laws])
 
@@ -367,33 +370,35 @@ def _normalised(log_odds: np.ndarray) -> np.ndarray:
 
 def _finding(x: _Shown) -> str:
     """Return what the sensor shows, as read."""
+    head, noise = f"as read ({x.unit}) the {x.plural}", x.noise_in(1.0)
     if x.mean is None:
-        return f"as read ({x.unit}) the {_SENSORS[x.sensor]} have {x.noise_in(1.0)} of noise"
+        return f"{head} have {noise} of noise"
     mean = f"{plain(x.mean / DEG, 3)} deg/s"
     if x.sensor == "accel":
         gravity = f"{STANDARD_GRAVITY / x.scale:.4g} {x.unit}"
         mean = f"{x.mean / x.scale:.4g} {x.unit} (gravity is {gravity})"
-    return f"as read ({x.unit}) the {_SENSORS[x.sensor]} average {mean} with {x.noise_in(1.0)} of noise"
+    return f"{head} average {mean} with {noise} of noise"
 
 
-def _beside(x: _Shown, units: _Units, odds: _OfUnits) -> str:
+def _beside(x: _Shown, odds: _OfUnits) -> str:
     """Return what the other sensor shows, or that its own label is wrong, and by which factor."""
-    best, name, given = int(np.argmax(odds)), _SENSORS[x.sensor], x.given or 1.0
-    if best == 0 and abs(given - 1.0) < _PRECISION:
-        return f", beside {name} with {x.noise_in(1.0)}"
-    if best == 0:
-        return f", and the label of the {name} is wrong by a factor of {plain(given, 4)}"
-    factor = f" (a factor of {plain(units.factors[best], 4)})" if np.isfinite(units.factors[best]) else ""
-    return f", and the {name} are probably in {units.names[best]}, not {x.unit}{factor}"
+    best, given = int(np.argmax(odds)), x.given or 1.0
+    if best > 0:
+        factor = x.units.factors[best]
+        by = f" (a factor of {plain(factor, 4)})" if np.isfinite(factor) else ""
+        return f", and the {x.plural} are probably in {x.units.names[best]}, not {x.unit}{by}"
+    if abs(given - 1.0) < _PRECISION:
+        return f", beside {x.plural} with {x.noise_in(1.0)}"
+    return f", and the label of the {x.plural} is wrong by a factor of {plain(given, 4)}"
 
 
-def _advice(x: _Shown, units: _Units, odds: _OfUnits, impossible: bool) -> tuple[str, str]:
+def _advice(x: _Shown, odds: _OfUnits, impossible: bool) -> tuple[str, str]:
     """Return the probable unit, and what to do."""
     best, option = 1 + int(np.argmax(odds[1:])), f"--{x.sensor}-unit"
-    name, factor = units.names[best], units.factors[best]
+    name, factor = x.units.names[best], x.units.factors[best]
     if name == _OTHER:
-        range_ = "" if x.sensor == "gyro" else ", and is the range wide enough?"
-        return "no usual unit makes that plausible", f"is the unit right ({option}){range_ or '?'}"
+        wide = "" if x.sensor == "gyro" else ", and is the range wide enough"
+        return "no usual unit makes that plausible", f"is the unit right ({option}){wide}?"
     if name == _COUNTS:
         size = COUNT_SIZES[x.sensor]
         return "they are whole numbers, probably counts", f"give the size of one with {option}, e.g. {size}"
@@ -401,9 +406,8 @@ def _advice(x: _Shown, units: _Units, odds: _OfUnits, impossible: bool) -> tuple
         return f"the rate is probably {name.removeprefix('--rate ')} Hz", f"pass {name}"
     likely = "probably" if odds[best] > 0.5 else "perhaps"
     told = f"the unit is {likely} {name} (a factor of {plain(factor, 4)})"
-    meaning = f"{told}, in which the noise is {x.noise_in(factor)}"
     remedy = f"pass {option} {name.replace('²', '^2')}"
-    if x.given is not None:
-        return meaning, remedy
-    own = f"{option} {x.unit.replace('²', '^2')} if that is right"
-    return meaning, f"{remedy}, or {'correct the unit in the header' if impossible else own}"
+    if x.given is None:
+        own = f"{option} {x.unit.replace('²', '^2')} if that is right"
+        remedy += f", or {'correct the unit in the header' if impossible else own}"
+    return f"{told}, in which the noise is {x.noise_in(factor)}", remedy
