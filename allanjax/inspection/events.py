@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Sequence
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
 from jaxtyping import Float
@@ -18,6 +18,7 @@ from allanjax.inspection.windows import (
     WhichWindows,
     Windows,
     groups_of,
+    mean_square,
     mean_squares,
     noise_scores,
     runs,
@@ -109,7 +110,7 @@ def unusual(windows: Windows, sensors: Sequence[str]) -> list[Run]:
         louder, quieter = (_runs([sign * x for x in scores], length, touched) for sign in (1.0, -1.0))
         disturbed += [Run(a, b, "noisier") for a, b in louder]
         disturbed += [Run(a, b, "quieter") for a, b in quieter if not _overlaps(a, b, disturbed)]
-    steps = list(steps_of(windows, sensors, touched_by(windows, disturbed)))
+    steps = list(steps_of(windows, touched_by(windows, disturbed)))
     moved: list[Run] = []
     for k, of in enumerate(steps):
         for a, b in _moves(steps[: k + 1], groups_of(sensors)):
@@ -151,11 +152,11 @@ def _moves(steps: Sequence[Steps], groups: Sequence[Sequence[int]]) -> list[tupl
     There are none if it jumps by a similar size three times or more: that is telegraph noise of the sensor.
     """
     last = steps[-1]
-    alarmed = last.score.max(axis=1) > _STEP
+    scores = last.scores(groups)
+    alarmed = scores.max(axis=1) > _STEP
     if not alarmed.any():
         return []
-    squares = (last.step / last.scatter[:, None]) ** 2
-    sizes = np.sqrt(np.max([squares[g].mean(axis=0) for g, a in zip(groups, alarmed, strict=True) if a], 0))
+    sizes = np.sqrt(last.mean_squares(groups)[alarmed].max(axis=0))
     peaks, left = 0, sizes.copy()
     while peaks < _TELEGRAPH and left.max() > _COMPARABLE * sizes.max():
         place = int(np.argmax(left))
@@ -163,7 +164,7 @@ def _moves(steps: Sequence[Steps], groups: Sequence[Sequence[int]]) -> list[tupl
         left[max(place - 2 * last.lag, 0) : place + 2 * last.lag + 1] = 0.0
     if peaks >= _TELEGRAPH:
         return []
-    strength = last.score[alarmed].max(axis=0)
+    strength = scores[alarmed].max(axis=0)
     clear = [(a, b) for a, b in runs(sizes > _STILL_MOVING, _GAP) if strength[a:b].max() > _STEP]
     return [_where(steps, a, b, a + int(np.argmax(strength[a:b]))) for a, b in clear]
 
@@ -171,7 +172,7 @@ def _moves(steps: Sequence[Steps], groups: Sequence[Sequence[int]]) -> list[tupl
 def _where(steps: Sequence[Steps], first: int, last: int, place: int) -> tuple[int, int]:
     """Run of windows in which the mean moves, given the run of places that show it and the clearest."""
     *finer, coarsest = steps
-    lag, places = coarsest.lag, coarsest.score.shape[1]
+    lag, places = coarsest.lag, coarsest.step.shape[1]
     # Place p compares windows p … p+lag−1 with as many that follow: it shows a change around p + lag.
     end = places + 2 * lag - 1
     if first == 0:
@@ -201,8 +202,8 @@ def _merged(disturbed: Sequence[Run]) -> list[Run]:
     for s in disturbed:
         if merged and s.first <= merged[-1].last:
             o = merged[-1]
-            kinds = [k for k in ("silent", "noisier", "quieter", "moved") if k in (o.kind, s.kind)]
-            merged[-1] = Run(o.first, max(o.last, s.last), kinds[0])
+            kind = min(o.kind, s.kind, key=("silent", "noisier", "quieter", "moved").index)
+            merged[-1] = Run(o.first, max(o.last, s.last), kind)
         else:
             merged.append(s)
     return merged
@@ -218,7 +219,7 @@ def effects_of(windows: Windows, disturbed: Sequence[Run]) -> Float[np.ndarray, 
     # Mean square differences at each cluster size, their weights, and how many windows each spans.
     pairs = windows.pairs.astype(float)
     squares = [(np.nan_to_num(x), count, 1) for x, count in zip(mean_squares(windows), pairs, strict=True)]
-    steps = steps_of(windows, ["axis"] * windows.mean.shape[1])
+    steps = steps_of(windows)
     squares += [((of.step**2).T, np.ones(of.step.shape[1]), 2 * of.lag) for of in steps]
     for square, weight, width in squares:
         # A place counts as touched if one of its windows is in a run.
@@ -301,25 +302,25 @@ def quiet_parts(
     cut: list[Run] = []
     kept: list[Run] = []
     loud = [] if levels is None else [Run(a, b, "noisier") for a, b in runs(levels.loud, 0)]
-    pending, parts = [(a, b, 0) for a, b in _between(loud, len(windows))], []
-    while pending:
-        first, last, rounds = pending.pop()
-        part = windows.between(first, last)
-        disturbed = _of_part(part, sensors, may_move) if len(part) >= _FEWEST else []
-        events = list(zip(disturbed, _events(part, disturbed), strict=True))
-        cuts = [s for s, e in events if e.is_cut]
-        split = bool(cuts) and rounds < _ROUNDS
-        # Harmless events may be detected again in a part; one that is kept is not, if it fills the part.
-        for s, e in events:
-            if not split or e.matters:
-                moved = dataclasses.replace(s, first=first + s.first, last=first + s.last)
-                (cut if e.is_cut else kept).append(moved)
-        if not split:
-            parts.append((first, last))
-            continue
-        calm = _between(cuts, len(part))
-        longest = max((b - a for a, b in calm), default=0)
-        pending += [(first + a, first + b, rounds + 1) for a, b in calm if b - a >= min(_FEWEST, longest)]
+    pending = _between(loud, len(windows))
+    parts: list[tuple[int, int]] = []
+    for search in range(_ROUNDS + 1):
+        pieces, pending = pending, []
+        for first, last in pieces:
+            part = windows.between(first, last)
+            disturbed = _of_part(part, sensors, may_move) if len(part) >= _FEWEST else []
+            events = list(zip(disturbed, _events(part, disturbed), strict=True))
+            cuts = [s for s, e in events if e.is_cut]
+            split = bool(cuts) and search < _ROUNDS
+            # Harmless events may be detected again in a part; one that is kept is not, if it fills the part.
+            for s, e in events:
+                if not split or e.matters:
+                    moved = dataclasses.replace(s, first=first + s.first, last=first + s.last)
+                    (cut if e.is_cut else kept).append(moved)
+            calm = _between(cuts, len(part)) if split else [(0, len(part))]
+            longest = max((b - a for a, b in calm), default=0)
+            remaining = [(first + a, first + b) for a, b in calm if b - a >= min(_FEWEST, longest)]
+            (pending if split else parts).extend(remaining)
     found = _events(windows, _joined(cut) + _joined(kept))
     for s in loud:
         assert levels is not None
@@ -339,25 +340,24 @@ def _of_part(part: Windows, sensors: Sequence[str], may_move: bool) -> list[Run]
     """Return the unusual runs of a part, with the axes where they matter."""
     disturbed = unusual(part, sensors)
     if may_move:
-        disturbed = [s for s in disturbed if _what(part, s, disturbed)[0] not in MOVES]
-    effects, described = effects_of(part, disturbed), []
+        disturbed = [s for s in disturbed if _what(part, s, disturbed).kind not in MOVES]
+    effects, found = effects_of(part, disturbed), []
     limit = _MATTERS if effects.max(axis=1, initial=0.0).sum() < _TOGETHER else _COUNTS
     for s, effect in zip(disturbed, effects, strict=True):
         # By chance, the effect of a run is the root of its share of the part.
         clear = max(_MATTERS, _CHANCE * np.sqrt((s.last - s.first) / len(part)))
-        axes = effect > min(clear, max(limit, float(effect.max()) * (1.0 - 1e-9)))
-        found = tuple(effect.tolist()), tuple(np.flatnonzero(axes).tolist())
-        described.append(dataclasses.replace(s, effects=found[0], axes=found[1]))
-    return described
+        axes = np.flatnonzero(effect > min(clear, max(limit, float(effect.max()) * (1.0 - 1e-9))))
+        found.append(dataclasses.replace(s, effects=tuple(effect.tolist()), axes=tuple(axes.tolist())))
+    return found
 
 
 def _events(windows: Windows, disturbed: Sequence[Run]) -> list[Event]:
     """Return disturbed runs as events."""
-    edges, events = windows.edges, []
+    edges, events = windows.edges.tolist(), []
     for s in disturbed:
-        kind, axis, size = _what(windows, s, disturbed)
-        axes = tuple(sorted({axis, *s.axes})) if s.matters else ()
-        events.append(Event(int(edges[s.first]), int(edges[s.last]), kind, s.effects, axes, axis, size))
+        what = _what(windows, s, disturbed)
+        axes = tuple(sorted({what.axis, *s.axes})) if s.matters else ()
+        events.append(Event(edges[s.first], edges[s.last], what.kind, s.effects, axes, what.axis, what.size))
     return events
 
 
@@ -375,16 +375,24 @@ def _joined(disturbed: Sequence[Run]) -> list[Run]:
     return joined
 
 
-def _what(windows: Windows, s: Run, events: Sequence[Run]) -> tuple[Kind, int, float]:
-    """Return the kind of an event, the axis where it is largest, and its size there."""
+class _What(NamedTuple):
+    """What an event is: its kind, the axis where it is largest, and its size there; see `Event`."""
+
+    kind: Kind
+    axis: int
+    size: float
+
+
+def _what(windows: Windows, s: Run, events: Sequence[Run]) -> _What:
+    """Return what an event is."""
     inside = slice(s.first, s.last)
     if s.kind == "silent":
         constant = windows.low[inside] == windows.high[inside]
-        return "silent", int(np.argmax(constant.sum(axis=0))), 0.0
+        return _What("silent", int(np.argmax(constant.sum(axis=0))), 0.0)
     usual, ratio = _levels(windows, inside, events)
     if s.kind == "quieter":
         quietest = int(np.argmin(ratio.min(axis=0)))
-        return "quieter", quietest, float(np.sqrt(1.0 / max(ratio[:, quietest].min(), 1e-12)))
+        return _What("quieter", quietest, float(np.sqrt(1.0 / max(ratio[:, quietest].min(), 1e-12))))
     if s.kind == "moved" or ratio[0].max() < _SAME_NOISE or _single(windows, inside) > _SINGLE:
         moved = _moved(windows, s, events)
         if moved is not None:
@@ -397,9 +405,9 @@ def _what(windows: Windows, s: Run, events: Sequence[Run]) -> tuple[Kind, int, f
         reach = np.maximum(high - middle, middle - low)
         axis = int(np.argmax(reach / np.sqrt(usual[0])))
         kind: Kind = "spike" if length <= 3 and _single(windows, inside) > _SINGLE else "knock"
-        return kind, axis, float(reach[axis])
+        return _What(kind, axis, float(reach[axis]))
     axis = int(np.argmax(ratio.max(axis=0)))
-    return "noisier", axis, float(np.sqrt(ratio[:, axis].max()))
+    return _What("noisier", axis, float(np.sqrt(ratio[:, axis].max())))
 
 
 def _levels(
@@ -409,15 +417,11 @@ def _levels(
 
     The typical ones are from the windows outside all events, or from all windows if there are none.
     """
-
-    def level(rows: slice | WhichWindows) -> Float[np.ndarray, "scales axes"]:
-        return windows.power[:, rows].sum(axis=1) / np.maximum(windows.pairs[:, rows].sum(axis=1), 1)[:, None]
-
     untouched = ~touched_by(windows, events)
-    usual = level(untouched if untouched.any() else slice(None))
+    usual = mean_square(windows, untouched if untouched.any() else slice(None))
     usual = np.where(usual > 0.0, usual, np.inf)
     known = (windows.pairs[:, inside].sum(axis=1) > 0)[:, None] & np.isfinite(usual)
-    return usual, np.where(known, level(inside) / usual, 1.0)
+    return usual, np.where(known, mean_square(windows, inside) / usual, 1.0)
 
 
 def _single(windows: Windows, inside: slice) -> float:
@@ -426,7 +430,7 @@ def _single(windows: Windows, inside: slice) -> float:
     return float(np.max(windows.peak[inside].max(axis=0) ** 2 / np.where(power > 0.0, power, np.inf)))
 
 
-def _moved(windows: Windows, s: Run, events: Sequence[Run]) -> tuple[Kind, int, float] | None:
+def _moved(windows: Windows, s: Run, events: Sequence[Run]) -> _What | None:
     """Return a step, warm-up or other change of the mean; None if the mean is the same before and after."""
     usual = np.maximum(abs(np.diff(windows.mean, axis=0)).mean(axis=0), 1e-300)
     span = np.ptp(windows.mean[s.first : s.last], axis=0)
@@ -435,16 +439,16 @@ def _moved(windows: Windows, s: Run, events: Sequence[Run]) -> tuple[Kind, int, 
         away = windows.mean[0] - (after.mean(axis=0) if len(after) else windows.mean[-1])
         axis = int(np.argmax(abs(away) / usual))
         if abs(away[axis]) > max(_CHANGED * usual[axis], _ONE_WAY * span[axis]):
-            return "warm-up", axis, float(away[axis])
+            return _What("warm-up", axis, float(away[axis]))
     else:
         jump, scatter = beside(windows, s, events)
         far = abs(jump) / np.where(scatter > 0.0, scatter, np.inf)
         axis = int(np.argmax(far))
         if far[axis] > _CHANGED:
-            return ("step" if s.last - s.first <= _SUDDEN else "shift"), axis, float(jump[axis])
+            return _What("step" if s.last - s.first <= _SUDDEN else "shift", axis, float(jump[axis]))
     if s.kind != "moved":
         return None
     # Neighbours are included, since a single window has no range.
     span = np.ptp(windows.mean[max(s.first - 1, 0) : s.last + 1], axis=0)
     axis = int(np.argmax(span / usual))
-    return "shift", axis, float(span[axis])
+    return _What("shift", axis, float(span[axis]))

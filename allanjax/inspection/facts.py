@@ -18,7 +18,7 @@ Consequence = Literal["none", "widened", "not a measurement"]
 
 NOT_A_MEASUREMENT: Consequence = "not a measurement"
 # The gravest first.
-_ORDER = {"not a measurement": 0, "widened": 1, "none": 2}
+_ORDER = ("not a measurement", "widened", "none")
 # Why coefficients are not a measurement of the sensor, by kind of fact.
 _WHY = {
     "at rest": "it was not at rest",
@@ -92,7 +92,7 @@ def names_of(axes: Iterable[Axis]) -> tuple[str, ...]:
 
 def ordered(facts: Iterable[Fact]) -> tuple[Fact, ...]:
     """Return the facts, the gravest first."""
-    return tuple(sorted(facts, key=lambda fact: _ORDER[fact.consequence]))
+    return tuple(sorted(facts, key=lambda fact: _ORDER.index(fact.consequence)))
 
 
 def warnings_of(facts: Iterable[Fact]) -> tuple[str, ...]:

@@ -234,7 +234,7 @@ def _inspection(
     sampled: Sampled, treatment: Treatment, found: _Found, vibrating: bool, auxiliary: Mapping[str, Samples]
 ) -> Inspection:
     """Return the inspection of a recording or stream, given what its samples show."""
-    part, axes, names = treatment.part, sampled.axes, names_of(sampled.axes)
+    axes, part = sampled.axes, treatment.part
     moving = motions(part, axes, sampled.rate)
     # Sensors whose noise and mean may be motion.
     moved = SENSORS if vibrating else {axes[m.axis].sensor for m in moving}
@@ -243,7 +243,7 @@ def _inspection(
         facts = [dataclasses.replace(fact, consequence="none") for fact in facts]
     # With a wrong unit noise looks like motion.
     wrong = {axis for fact in facts for axis in fact.axes if fact.kind != "rate"}
-    moving = [m for m in moving if names[m.axis] not in wrong]
+    moving = [m for m in moving if axes[m.axis].name not in wrong]
     refusal = treatment.refusal
     if moving and not vibrating:
         facts.append(motion_fact(moving, axes, bool(refusal)))

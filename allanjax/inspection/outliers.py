@@ -18,7 +18,8 @@ _FAR = 6.0
 # Samples on either side that are compared, and the most outliers within that distance.
 _AROUND, _CLOSE = 3, 3
 # Standard deviations beyond which Gaussian noise has this share of samples; so many times more is no chance.
-_OUTLYING, _GAUSSIAN_BEYOND, _ENOUGH = 4.0, 6.3e-5, 5
+_OUTLYING, _GAUSSIAN_BEYOND = 4.0, 6.3e-5
+_ENOUGH = 5
 # Share of the smallest distances from which the scale is estimated, and their rms for normal variates.
 _INNER, _INNER_RMS = 0.7, 0.5565
 # Share of zero distances beyond which the rounding is too coarse for that estimate.

@@ -11,7 +11,7 @@ from jaxtyping import Bool, Float, Int
 
 from allanjax.base.wording import duration, plain
 from allanjax.inspection.facts import NOT_A_MEASUREMENT, Fact, amount, names_of
-from allanjax.inspection.windows import OfAxes, Sampled, Samples, Values, Windows, rms_within
+from allanjax.inspection.windows import OfAxes, Sampled, Samples, Values, Windows, mean_square, rms_within
 from allanjax.record.completion import Gap, widening
 from allanjax.record.io.grid import format_jitter
 from allanjax.record.recording import Axis, DeadAxis, Recording
@@ -185,8 +185,8 @@ def resolved(
     `columns` are the samples of each axis, if they are in memory. The step [rad/s or m/s²] is 0 if none is
     detected.
     """
-    repeated = np.average(windows.repeated, axis=0, weights=windows.count)
-    rms = np.sqrt(windows.power[0].sum(axis=0) / max(windows.pairs[0].sum(), 1) / 2.0)
+    repeated = windows.averaged(windows.repeated)
+    rms = np.sqrt(mean_square(windows)[0] / 2.0)
     if columns is None:
         steps = np.where(np.isfinite(windows.resolution), windows.resolution, 0.0)
     else:

@@ -63,7 +63,8 @@ _SELDOM = 0.002
 # Probabilities, all judgements: that both labels are those of a template which the data do not follow; of
 # that, if the user gave another unit than the label of one sensor; that a single label is wrong; that a unit
 # is wrong which the user gave.
-_TEMPLATE, _ONE_WAS_WRONG, _LABEL, _GIVEN = 0.01, 0.5, 0.005, 0.003
+_TEMPLATE, _ONE_WAS_WRONG = 0.01, 0.5
+_LABEL, _GIVEN = 0.005, 0.003
 # Least probability of a unit that is not in doubt.
 _TRUSTED = 0.8
 # Factors by which a rate that belongs to increments may be wrong.
@@ -204,16 +205,16 @@ def units_of_record(sampled: Sampled, part: Windows, steps: OfAxes, moving: Coll
     """
     axes, rate = sampled.axes, sampled.rate
     # Allan deviation times the root of the cluster time, for cluster times up to a second.
-    squares, time = mean_squares(part), 2.0 ** np.arange(len(part.power)) / rate
-    known = np.isfinite(squares).any(axis=(1, 2)) & (time <= max(1.0, time[0]))
-    white = np.sqrt(np.nanmean(squares[known], axis=1) / 2.0 * time[known, None])
-    least, most, mean = white.min(axis=0), white.max(axis=0), part.average
+    time = 2.0 ** np.arange(len(part.power)) / rate
+    known = part.pairs.any(axis=1) & (time <= max(1.0, time[0]))
+    white = np.sqrt(np.nanmean(mean_squares(part)[known], axis=1) / 2.0 * time[known, None])
+    least, most = white.min(axis=0), white.max(axis=0)
     facts = []
     for pair in itertools.zip_longest(*(groups(axes, sensor) for sensor in SENSORS)):
         shown = []
         for which in filter(None, pair):
             own, step = [axes[k] for k in which], steps[which]
-            noise, size = float(np.median(least[which])), float(np.linalg.norm(mean[which]))
+            noise, size = float(np.median(least[which])), float(np.linalg.norm(part.average[which]))
             alike = float(step[0]) if np.allclose(step, step[0], rtol=_PRECISION, atol=0.0) else 0.0
             # Motion is not white, but noise in another unit still is.
             flat = np.median((most - _FLAT * least)[which]) < 0.0

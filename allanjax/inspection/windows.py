@@ -280,21 +280,28 @@ def _statistics(values: Values, size: int, length: int) -> Windows:
     return Windows(size, count, mean, low, high, power, pairs, peak, repeats, resolution, values[:0])
 
 
-@dataclasses.dataclass(frozen=True, eq=False)
-class Steps:
+class Steps(NamedTuple):
     """Differences between the means of neighbouring runs of windows, at all places.
 
     Attributes:
         lag: number of windows of a run; place k compares those from k on with those from k + lag on.
-        score: the score of each axis, and of groups of them, at each place.
         step: difference of each axis, less the median.
         scatter: scatter of the differences of each axis.
     """
 
     lag: int
-    score: Scores
     step: Float[np.ndarray, "axes places"]
     scatter: OfAxes
+
+    def mean_squares(self, groups: Sequence[Sequence[int]]) -> Scores:
+        """Mean squares of the steps of groups of axes, in scatters."""
+        squares = (self.step / self.scatter[:, None]) ** 2
+        return np.stack([squares[g].mean(axis=0) for g in groups])
+
+    def scores(self, groups: Sequence[Sequence[int]]) -> Scores:
+        """Scores of groups of axes."""
+        roots = np.cbrt(self.mean_squares(groups) + _SOFT)
+        return _scored(roots, np.full(len(groups), _LEAST_STEP_SCATTER))
 
 
 def shortest_half(
@@ -314,6 +321,14 @@ def mean_squares(windows: Windows) -> Float[np.ndarray, "scales w axes"]:
     """Return mean square differences of neighbouring clusters; NaN for windows without any."""
     with np.errstate(invalid="ignore", divide="ignore"):
         return np.where(windows.pairs[..., None] > 0, windows.power / windows.pairs[..., None], np.nan)
+
+
+def mean_square(
+    windows: Windows, rows: slice | WhichWindows = slice(None)
+) -> Float[np.ndarray, "scales axes"]:
+    """Return mean square differences of neighbouring clusters over all of these windows; 0 without any."""
+    pairs = np.maximum(windows.pairs[:, rows].sum(axis=1), 1)
+    return windows.power[:, rows].sum(axis=1) / pairs[:, None]
 
 
 def lattice_power(windows: Windows) -> OfAxes:
@@ -361,19 +376,16 @@ def noise_scores(
         yield _scored(together, np.sqrt(2.0 / (9.0 * usual * length * sizes)))
 
 
-def steps_of(
-    windows: Windows, sensors: Sequence[str], left_out: WhichWindows | None = None
-) -> Iterator[Steps]:
-    """Differences between the means of neighbouring runs of 1, 2, 4, … windows, with scores.
+def steps_of(windows: Windows, left_out: WhichWindows | None = None) -> Iterator[Steps]:
+    """Differences between the means of neighbouring runs of 1, 2, 4, … windows.
 
     Their median is subtracted: a ramp over the record is a term of the noise model. The means leave out the
     windows in `left_out`.
     """
-    groups, floor = groups_of(sensors), lattice_power(windows)
     weight = windows.count.astype(float) if left_out is None else windows.count * ~left_out
     mean = windows.mean - windows.mean.mean(axis=0)
     total = np.concatenate([[0.0 * mean[0]], np.cumsum(weight[:, None] * mean, axis=0)])
-    known = np.concatenate([[0.0], np.cumsum(weight)])
+    known, floor = np.concatenate([[0.0], np.cumsum(weight)]), lattice_power(windows)
     lag = 1
     while len(windows) >= _FEWEST * lag:
         count = known[lag:] - known[:-lag]
@@ -383,11 +395,8 @@ def steps_of(
             return
         middle, scatter = shortest_half(step)
         scatter = np.sqrt(scatter**2 + floor)
-        scatter = np.where(scatter > 0.0, scatter, np.inf)
         step = np.nan_to_num(step - middle[:, None])
-        square = (step / scatter[:, None]) ** 2
-        roots = np.stack([np.cbrt(square[g].mean(axis=0) + _SOFT) for g in groups])
-        yield Steps(lag, _scored(roots, np.full(len(groups), _LEAST_STEP_SCATTER)), step, scatter)
+        yield Steps(lag, step, np.where(scatter > 0.0, scatter, np.inf))
         lag *= 2
 
 
@@ -420,11 +429,9 @@ def motions(windows: Windows, axes: Sequence[Axis], rate: float) -> list[Motion]
     over = max(int(np.ceil(rate / windows.size)), 1)
     whole = len(windows) // over * over
     mean = windows.mean[:whole].reshape(-1, over, len(axes)).mean(axis=1) if whole else windows.mean
-    within = mean_squares(windows)
-    known = [k for k, square in enumerate(within) if np.isfinite(square).any()]
-    changes = [((1 << k) / rate, np.nanmean(within[k], axis=0)) for k in known]
-    sensors = [axis.sensor for axis in axes]
-    changes += [(s.lag * windows.size / rate, (s.step**2).mean(axis=1)) for s in steps_of(windows, sensors)]
+    within = mean_squares(windows)[windows.pairs.any(axis=1)]
+    changes = [(2.0**k / rate, np.nanmean(squares, axis=0)) for k, squares in enumerate(within)]
+    changes += [(of.lag * windows.size / rate, (of.step**2).mean(axis=1)) for of in steps_of(windows)]
     tests = []
     for time, square in changes:
         if _SHORTEST <= time <= _LONGEST:
