@@ -214,18 +214,15 @@ def effects_of(windows: Windows, disturbed: Sequence[Run]) -> Float[np.ndarray, 
 
     A trifling change of the variance is none.
     """
-    touched = touched_by(windows, disturbed)
+    count = np.concatenate([[0], np.cumsum(touched_by(windows, disturbed))])
     effects = np.zeros((len(disturbed), windows.mean.shape[1]))
     # Mean square differences at each cluster size, their weights, and how many windows each spans.
-    pairs = windows.pairs.astype(float)
-    squares = [(np.nan_to_num(x), count, 1) for x, count in zip(mean_squares(windows), pairs, strict=True)]
-    steps = steps_of(windows)
-    squares += [((of.step**2).T, np.ones(of.step.shape[1]), 2 * of.lag) for of in steps]
+    within = zip(np.nan_to_num(mean_squares(windows)), windows.pairs.astype(float), strict=True)
+    squares = [(square, pairs, 1) for square, pairs in within]
+    squares += [((of.step**2).T, np.ones(of.step.shape[1]), 2 * of.lag) for of in steps_of(windows)]
     for square, weight, width in squares:
-        # A place counts as touched if one of its windows is in a run.
-        count = np.concatenate([[0], np.cumsum(touched)])
-        places = count[width:] > count[: len(count) - width]
-        quiet = ~places & (weight > 0)
+        # A place is not quiet if one of its windows is in a run.
+        quiet = (count[width:] == count[: len(count) - width]) & (weight > 0)
         if quiet.sum() < 4:
             continue
         level = np.average(square[quiet], axis=0, weights=weight[quiet])

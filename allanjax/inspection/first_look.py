@@ -87,7 +87,7 @@ class Inspection(ByValue):
     @property
     def longest_part(self) -> tuple[float, float] | None:
         """Start and end [s] of the longest part to estimate from; None for the whole recording."""
-        return longest(self.parts)
+        return longest(self.parts) if self.parts else None
 
     @property
     def warnings(self) -> tuple[str, ...]:
@@ -277,8 +277,8 @@ def _inspection(
 def _of_samples(recording: Recording, treatment: Treatment, spikes: Sequence[Which]) -> _Found:
     """Return what the samples of a recording show, given the isolated outliers of its axes."""
     rows, axes = slice(0, recording.n), recording.axes
-    if treatment.longest is not None:
-        rows, times = _rows(treatment.longest, recording.rate), recording.time
+    if treatment.parts:
+        rows, times = _rows(longest(treatment.parts), recording.rate), recording.time
         inside = np.any([(times >= a) & (times < b) for a, b in treatment.parts], axis=0)
         spikes = [at & inside for at in spikes]
     columns = zip(recording.values[rows].T, _filled(recording)[rows].T, strict=True)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
-from typing import TypeVar
 
 import numpy as np
 
@@ -54,12 +53,11 @@ _CLAUSES = {
 
 #: Samples by axis name: ranges from the first index up to but not including the last.
 Places = Mapping[str, tuple[tuple[int, int], ...]]
-_Part = TypeVar("_Part", tuple[float, float], tuple[int, int])
 
 
-def longest(parts: Sequence[_Part]) -> _Part | None:
-    """Return the longest part from a first to a last place; None if there are no parts."""
-    return max(parts, key=lambda part: part[1] - part[0], default=None)
+def longest(parts: Sequence[tuple[float, float]]) -> tuple[float, float]:
+    """Return the longest of these parts, from a first to a last place."""
+    return max(parts, key=lambda part: part[1] - part[0])
 
 
 class Treatment:
@@ -74,8 +72,7 @@ class Treatment:
         possible: whether enough remains without the events that must be cut out.
         doubt: why a long quiet part may not be the sensor at rest, in words; "" if it is, or there is none.
         parts: start and end [s] of the parts that are used, rounded inwards; empty if all samples are used.
-        longest: the longest of them; None if all samples are used.
-        part: windows of the longest part.
+        part: windows of the longest of them.
     """
 
     def __init__(self, sampled: Sampled, windows: Windows, as_is: bool, may_move: bool = False) -> None:
@@ -99,12 +96,11 @@ class Treatment:
         self.possible = sum(b - a for a, b in self.quiet) >= least and not self.doubt
         used = self.cut and self.possible and not as_is
         self.parts = tuple(self._inwards(a, b) for a, b in self.quiet) if used else ()
-        self.longest = longest(self.parts)
         self.part = windows
-        if self.longest is not None:
-            starts = windows.edges / self.rate
-            first = int(np.searchsorted(starts, self.longest[0] - 1e-9))
-            last = int(np.searchsorted(starts, self.longest[1] + 1e-9, side="right")) - 1
+        if self.parts:
+            start, stop = longest(self.parts)
+            first = int(np.searchsorted(edges, self.rate * (start - 1e-9)))
+            last = int(np.searchsorted(edges, self.rate * (stop + 1e-9), side="right")) - 1
             self.part = windows.between(first, max(last, first + 1))
 
     def _inwards(self, first: int, last: int) -> tuple[float, float]:
@@ -137,7 +133,8 @@ class Treatment:
             choice = ", ".join(map(self._selected, (self.quiet, loud)))
             remedy = f"select a part with {choice}, or use all samples with --as-is (as_is=True)"
         else:
-            undisturbed = span(*self._ends(self.quiet), self._step)
+            first, last = longest(self.quiet)
+            undisturbed = span(first / self.rate, last / self.rate, self._step)
             means = (
                 f"no coefficients, as the undisturbed parts are less than {100.0 * _LEAST_SHARE:.0f} % of "
                 f"the recording (the longest is {undisturbed})"
@@ -175,14 +172,9 @@ class Treatment:
         """Start and end [s] of events."""
         return tuple((e.first / self.rate, e.last / self.rate) for e in events)
 
-    def _ends(self, parts: Sequence[tuple[int, int]]) -> tuple[float, float]:
-        """Start and end [s] of the longest of these parts."""
-        first, last = max(parts, key=lambda part: part[1] - part[0])
-        return first / self.rate, last / self.rate
-
     def _selected(self, parts: Sequence[tuple[int, int]]) -> str:
         """The options that select the longest of these parts."""
-        start, stop = (seconds(end, self._step) for end in self._ends(parts))
+        start, stop = (seconds(end / self.rate, self._step) for end in longest(parts))
         return f"--start {start} --stop {stop} (start={start}, stop={stop})"
 
     def describe(self, events: Sequence[Event]) -> str:

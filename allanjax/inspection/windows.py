@@ -229,21 +229,18 @@ class Windows:
 
     def _coarser(self) -> Windows:
         """Windows twice as long, each of two; an odd one at the end stays as it is."""
-        half = len(self) // 2
-        a, b = self.between(0, 2 * half), self._rows(slice(2 * half, None))
-        whole = (a.count[::2] == self.size) & (a.count[1::2] == self.size)
-        d = np.where(whole[:, None], a.mean[1::2] - a.mean[::2], 0.0)
-        longer = a._paired()._with_scale(d * d, whole)
-        odd = b._with_scale(np.zeros(b.mean.shape), np.zeros(len(b), bool))
-        return longer._joined(odd)
-
-    def _with_scale(self, power: _OfWindows, pairs: WhichWindows) -> Windows:
-        """These as windows of twice the size, with the sums of squares at one more cluster size."""
+        even = len(self) // 2 * 2
+        twos, odd = self.between(0, even), self._rows(slice(even, None))
+        whole = (twos.count[::2] == self.size) & (twos.count[1::2] == self.size)
+        d = np.where(whole[:, None], twos.mean[1::2] - twos.mean[::2], 0.0)
+        longer = twos._paired()._joined(odd)
+        # Sums of squares at one more cluster size, of which the odd window has none.
+        power, pairs = np.pad(d * d, ((0, len(odd)), (0, 0))), np.pad(whole.astype(int), (0, len(odd)))
         return dataclasses.replace(
-            self,
+            longer,
             size=2 * self.size,
-            power=np.concatenate([self.power, power[None]]),
-            pairs=np.concatenate([self.pairs, pairs[None].astype(int)]),
+            power=np.concatenate([longer.power, power[None]]),
+            pairs=np.concatenate([longer.pairs, pairs[None]]),
         )
 
     def _paired(self) -> Windows:
