@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Iterator, Mapping, Sequence
-from typing import Literal
+from typing import Literal, get_args
 
 import numpy as np
 
@@ -164,5 +164,4 @@ def _bandwidth(rate: float, widths: Mapping[str, float | None]) -> Line:
 
 def worst(lines: Sequence[Line]) -> Verdict:
     """Return the worst verdict of these lines."""
-    order: Mapping[str, int] = {"fine": 0, "look": 1, "stop": 2}
-    return max((line.verdict for line in lines), key=order.__getitem__, default="fine")
+    return max((line.verdict for line in lines), key=get_args(Verdict).index, default="fine")

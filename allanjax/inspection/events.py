@@ -390,7 +390,8 @@ def _what(windows: Windows, s: Run, events: Sequence[Run]) -> _What:
     if s.kind == "quieter":
         quietest = int(np.argmin(ratio.min(axis=0)))
         return _What("quieter", quietest, float(np.sqrt(1.0 / max(ratio[:, quietest].min(), 1e-12))))
-    if s.kind == "moved" or ratio[0].max() < _SAME_NOISE or _single(windows, inside) > _SINGLE:
+    single = _single(windows, inside) > _SINGLE
+    if s.kind == "moved" or ratio[0].max() < _SAME_NOISE or single:
         moved = _moved(windows, s, events)
         if moved is not None:
             return moved
@@ -401,7 +402,7 @@ def _what(windows: Windows, s: Run, events: Sequence[Run]) -> _What:
         high, low = windows.high[inside].max(axis=0), windows.low[inside].min(axis=0)
         reach = np.maximum(high - middle, middle - low)
         axis = int(np.argmax(reach / np.sqrt(usual[0])))
-        kind: Kind = "spike" if length <= 3 and _single(windows, inside) > _SINGLE else "knock"
+        kind: Kind = "spike" if length <= 3 and single else "knock"
         return _What(kind, axis, float(reach[axis]))
     axis = int(np.argmax(ratio.max(axis=0)))
     return _What("noisier", axis, float(np.sqrt(ratio[:, axis].max())))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Iterable, Sequence
-from typing import Literal
+from typing import Literal, get_args
 
 import numpy as np
 
@@ -13,12 +13,10 @@ from allanjax.base.wording import plain
 from allanjax.record.recording import Axis
 from allanjax.record.units import rate_unit_of
 
-#: What a fact means for the coefficients of its axes.
-Consequence = Literal["none", "widened", "not a measurement"]
+#: What a fact means for the coefficients of its axes, the gravest first.
+Consequence = Literal["not a measurement", "widened", "none"]
 
 NOT_A_MEASUREMENT: Consequence = "not a measurement"
-# The gravest first.
-_ORDER = ("not a measurement", "widened", "none")
 # Why coefficients are not a measurement of the sensor, by kind of fact.
 _WHY = {
     "at rest": "it was not at rest",
@@ -92,7 +90,7 @@ def names_of(axes: Iterable[Axis]) -> tuple[str, ...]:
 
 def ordered(facts: Iterable[Fact]) -> tuple[Fact, ...]:
     """Return the facts, the gravest first."""
-    return tuple(sorted(facts, key=lambda fact: _ORDER.index(fact.consequence)))
+    return tuple(sorted(facts, key=lambda fact: get_args(Consequence).index(fact.consequence)))
 
 
 def warnings_of(facts: Iterable[Fact]) -> tuple[str, ...]:

@@ -19,6 +19,7 @@ from allanjax.inspection.outliers import heavy_tails, spike_facts, spikes_in
 from allanjax.inspection.plausible import (
     Ends,
     dead_facts,
+    lattice,
     rate_facts,
     resolved,
     sampling_facts,
@@ -44,6 +45,8 @@ from allanjax.record.completion import bridged, completed
 from allanjax.record.recording import Axis, DeadAxis, Recording
 from allanjax.record.units import SENSORS
 
+# Samples from which the step of the output is determined.
+_LOOKED_AT = 1 << 14
 _NOT_EXAMINED = "not examined in a stream: outliers, lines, interpolated samples, temperature"
 _EXAMINED = "to check these, read a part of the file as a whole (--start, --stop)"
 
@@ -207,11 +210,12 @@ def look(
         as_is, vibrating: as in `inspect`.
     """
     treatment = Treatment(stream, windows.closed(), as_is)
-    facts, steps = resolved(treatment.part, stream.axes)
-    facts += dead_facts(dead)
+    steps = treatment.part.steps
+    facts = [*resolved(treatment.part, stream.axes, steps), *dead_facts(dead)]
     facts.append(Fact("not examined", _NOT_EXAMINED, names_of(stream.axes), remedy=_EXAMINED))
     facts += saturated(stream.axes, ends, steps)
-    return _inspection(stream, treatment, _Found(facts, steps, np.zeros(len(steps)), {}), vibrating, {})
+    found = _Found(facts, steps, np.zeros(len(steps)), treatment.lost)
+    return _inspection(stream, treatment, found, vibrating, {})
 
 
 class _Found(NamedTuple):
@@ -221,13 +225,13 @@ class _Found(NamedTuple):
         facts: facts about them.
         steps: step of the output of each axis; 0 if none is detected.
         outliers: variance that outliers which are kept add to each axis.
-        spikes: places of outliers that are left out, by axis.
+        lost: samples of single axes that are left out and filled in, by axis.
     """
 
     facts: list[Fact]
     steps: OfAxes
     outliers: OfAxes
-    spikes: Places
+    lost: Places
 
 
 def _inspection(
@@ -242,7 +246,7 @@ def _inspection(
     if treatment.as_is:
         facts = [dataclasses.replace(fact, consequence="none") for fact in facts]
     # With a wrong unit noise looks like motion.
-    wrong = {axis for fact in facts for axis in fact.axes if fact.kind != "rate"}
+    wrong = _names(fact for fact in facts if fact.kind != "rate")
     moving = [m for m in moving if axes[m.axis].name not in wrong]
     refusal = treatment.refusal
     if moving and not vibrating:
@@ -250,9 +254,6 @@ def _inspection(
         # The fact about motion comes first and is reason enough.
         refusal = None
     facts += [*treatment.facts(refusal), *short(part.n, sampled), *found.facts]
-    lost = treatment.lost
-    for name, places in found.spikes.items():
-        lost[name] = (*lost.get(name, ()), *places)
     kept = treatment.describe(treatment.harmless)
     note = f"{kept}; kept, since no coefficient changes by more than its interval allows"
     return Inspection(
@@ -263,7 +264,7 @@ def _inspection(
         mean=part.average,
         rms=np.sqrt(rms_within(part) ** 2 + part.averaged((part.mean - part.average) ** 2)),
         parts=treatment.parts,
-        lost=lost,
+        lost=found.lost,
         refusal=refusal.text if refusal else "",
         facts=ordered(facts),
         notes=(note,) if kept else (),
@@ -283,13 +284,15 @@ def _of_samples(recording: Recording, treatment: Treatment, spikes: Sequence[Whi
         spikes = [at & inside for at in spikes]
     columns = zip(recording.values[rows].T, _filled(recording)[rows].T, strict=True)
     own = [x[~filled] for x, filled in columns]
-    facts, steps = resolved(treatment.part, axes, own)
+    steps = np.array([lattice(x[:_LOOKED_AT]) or 0.0 for x in own])
+    facts = list(resolved(treatment.part, axes, steps))
     held = _names(fact for fact in facts if fact.kind == "repeated samples" or fact.grave)
     for k, x in enumerate(own):
         facts += saturated(axes[k : k + 1], Ends.of(x[:, None]), steps[k : k + 1])
     whole = _bridged(recording.values, spikes)
     # A burst has power at all frequencies, some of which would look like lines.
-    calm = _bridged(whole, list(_at(treatment.lost, recording).T))[rows]
+    lost = treatment.lost
+    calm = _bridged(whole, list(_at(lost, recording).T))[rows]
     facts += spectral_facts(calm, recording.rate, axes, held)
     facts += [*sampling_facts(recording), *temperature_facts(recording)]
     # What is no measurement, as interpolated samples, has no outliers of its own.
@@ -300,9 +303,11 @@ def _of_samples(recording: Recording, treatment: Treatment, spikes: Sequence[Whi
             facts += of_axis
     single = spike_facts(axes, recording.rate, recording.values - whole, spikes)
     facts += [fact for fact in single if not grave.issuperset(fact.axes)]
-    places = {axis.name: np.flatnonzero(at).tolist() for axis, at in zip(axes, spikes, strict=True)}
-    left_out = {name: tuple((k, k + 1) for k in of) for name, of in places.items() if of}
-    return _Found(facts, steps, outliers, {} if treatment.as_is else left_out)
+    if not treatment.as_is:
+        for axis, at in zip(axes, spikes, strict=True):
+            places = ((k, k + 1) for k in np.flatnonzero(at).tolist())
+            lost[axis.name] = (*lost.get(axis.name, ()), *places)
+    return _Found(facts, steps, outliers, {name: of for name, of in lost.items() if of})
 
 
 def _names(facts: Iterable[Fact]) -> set[str]:

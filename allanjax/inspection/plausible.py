@@ -39,8 +39,6 @@ _FEW = 20000
 _LEAST, _MANY = 4, 100
 # Fewest steps between the extremes of a rounded output for its distribution to have a tail.
 _FEW_LEVELS = 4
-# Samples from which the step is determined.
-_LOOKED_AT = 1 << 14
 # Octaves of samples, from one on, in which their noise is compared with the steps.
 _OCTAVES = 6
 # Share of equal neighbours, beyond those due to rounding, that shows that samples are repeated.
@@ -177,45 +175,31 @@ class Ends:
         return np.where(steps > 0.0, beyond & has_tail, often)
 
 
-def resolved(
-    windows: Windows, axes: Sequence[Axis], columns: Sequence[Samples] | None = None
-) -> tuple[list[Fact], OfAxes]:
-    """Return facts about axes with coarsely rounded or repeated samples, and the step of each axis.
-
-    `columns` are the samples of each axis, if they are in memory. The step [rad/s or m/s²] is 0 if none is
-    detected.
-    """
+def resolved(windows: Windows, axes: Sequence[Axis], steps: OfAxes) -> Iterator[Fact]:
+    """Yield facts about axes with coarsely rounded or repeated samples; the step of others is 0."""
     repeated = windows.averaged(windows.repeated)
     rms = np.sqrt(mean_square(windows)[0] / 2.0)
-    if columns is None:
-        steps = np.where(np.isfinite(windows.resolution), windows.resolution, 0.0)
-    else:
-        steps = np.array([lattice(x[:_LOOKED_AT]) or 0.0 for x in columns])
     per = np.where(steps > 0.0, steps, np.inf)
     # Behind a filter neighbours differ little, but the samples still pass through many steps.
     noise = np.where(steps > 0.0, rms_within(windows, _OCTAVES) / per, np.inf)
     # Share of equal neighbours in rounded Gaussian noise.
     chance = np.where(rms > 0.0, 0.5 / np.sqrt(np.pi) / np.maximum(rms / per, 1e-12), 0.0) * (steps > 0.0)
-    facts = []
     for k, axis in enumerate(axes):
         name, size = (axis.name,), float(noise[k])
         few = f"the noise of {axis.name} is {plain(size, 2)} steps of {amount(steps[k], axis, 3)}"
         if size < _TOO_FEW:
             means, cure = "the coefficients describe the rounding", "record with a finer resolution"
-            fact = Fact("resolution", few, name, NOT_A_MEASUREMENT, size, "steps", meaning=means, remedy=cure)
-            facts.append(fact)
+            yield Fact("resolution", few, name, NOT_A_MEASUREMENT, size, "steps", meaning=means, remedy=cure)
         elif repeated[k] > _HELD + 2.0 * chance[k]:
             text = f"{axis.name}: {100.0 * repeated[k]:.0f} % of the samples repeat the one before"
             means = (
                 "the sensor updates more slowly than the file's rate, and content above its own rate is an "
                 "artefact"
             )
-            fact = Fact("repeated samples", text, name, size=float(repeated[k]), unit="1", meaning=means)
-            facts.append(fact)
+            yield Fact("repeated samples", text, name, size=float(repeated[k]), unit="1", meaning=means)
         elif size < _FEW_STEPS:
             means = "part of the noise is rounding, and the intervals of N are widened accordingly"
-            facts.append(Fact("resolution", few, name, "widened", size, "steps", meaning=means))
-    return facts, steps
+            yield Fact("resolution", few, name, "widened", size, "steps", meaning=means)
 
 
 def saturated(axes: Sequence[Axis], ends: Ends, steps: OfAxes) -> Iterator[Fact]:

@@ -153,6 +153,11 @@ class Windows:
         return self.repeats / np.maximum(compared, 1)[:, None]
 
     @property
+    def steps(self) -> OfAxes:
+        """Smallest step between samples on each axis; 0 without any."""
+        return np.where(np.isfinite(self.resolution), self.resolution, 0.0)
+
+    @property
     def average(self) -> OfAxes:
         """Mean of all samples but those after the last window."""
         return self.averaged(self.mean)
@@ -332,8 +337,7 @@ def lattice_power(windows: Windows) -> OfAxes:
     """Return the mean square difference that rounding alone may cause if samples have few values."""
     repeated = np.median(windows.repeated, axis=0)
     share = np.clip((repeated - _DITHERED) / (_COARSE - _DITHERED), 0.0, 1.0)
-    resolution = np.where(np.isfinite(windows.resolution), windows.resolution, 0.0)
-    return share * resolution**2 / 4.0
+    return share * windows.steps**2 / 4.0
 
 
 def groups_of(sensors: Sequence[str]) -> list[list[int]]:
