@@ -124,13 +124,12 @@ class Inspection(ByValue):
         if self.longest_part is None:
             return _completed(recording, lost)
         rows = {part: _rows(part, self.rate) for part in self.parts}
-        longest = rows.pop(self.longest_part)
-        quiet = recording.between(*self.longest_part)
+        chosen, quiet = rows.pop(self.longest_part), recording.between(*self.longest_part)
         kept = [recording.names.index(name) for name in quiet.names]
         others = [completed(recording.values[part], lost[part])[:, kept] for part in rows.values()]
         alive = (x for x in others if (np.ptp(x, axis=0) > 0.0).all())
         everything = (*(x[:, kept] for x in recording.others), *alive)
-        return dataclasses.replace(_completed(quiet, lost[longest][:, kept]), others=everything, places=())
+        return dataclasses.replace(_completed(quiet, lost[chosen][:, kept]), others=everything, places=())
 
     def uncut(self) -> Inspection:
         """Return this inspection for accumulated samples: if parts must be left out, it is a refusal."""

@@ -60,34 +60,35 @@ _PAIRS = {
 }
 # Share of each unit that is not among them.
 _SELDOM = 0.002
-# Probabilities, all judgements: that both labels are those of a template which the data do not follow; of
-# that, if the user gave another unit than the label of one sensor; that a single label is wrong; that a unit
-# is wrong which the user gave.
+# Probability, a judgement, that both labels are those of a template which the data do not follow; the same if
+# the user gave another unit than the label of one sensor.
 _TEMPLATE, _ONE_WAS_WRONG = 0.01, 0.5
+# Probability, a judgement, that a single label is wrong, and that a unit is wrong which the user gave.
 _LABEL, _GIVEN = 0.005, 0.003
 # Least probability of a unit that is not in doubt.
 _TRUSTED = 0.8
 # Factors by which a rate that belongs to increments may be wrong.
 _RATES = (10.0, 0.1, 100.0, 0.01)
 
-# What is less, as the mean of a simulation, is zero.
+# Smaller sizes, such as the mean of a simulation, count as this one.
 _ZERO = 1e-12
-# White noise in deg/√h and m/s/√h.
+# White noise of 1 deg/√h and 1 m/s/√h.
 _ROOT_HOUR: dict[Sensor, float] = {"gyro": DEG / 60.0, "accel": 1.0 / 60.0}
-# Its range in sensors, from the best of navigation grade to consumer sensors of 1 mg/√Hz.
+# Noise of sensors in these units, from the best of navigation grade to consumer sensors of 1 mg/√Hz.
 _NOISE: dict[Sensor, _Laws] = {"gyro": (_Law(2e-4, 4.0, 0.5),), "accel": (_Law(1e-3, 0.6, 0.5),)}
-# Ratio of the two, of tested units from 0.17 (fibre-optic gyros beside MEMS accelerometers) to 30, of
-# which a defective gyro may have four times more; and the noise of accelerometers [m/s/√h] below which they
-# are not MEMS, and may be beside better gyros.
-_RATIO, _MEMS = _Law(0.13, 120.0, 0.1), 0.03
-# Size of the mean of gyros at rest [deg/s]: biases, or the earth's rate.
+# Noise of gyros divided by that of accelerometers: units that were tested had 0.17 (fibre-optic gyros beside
+# MEMS accelerometers) to 30, and a defective gyro may have four times as much.
+_RATIO = _Law(0.13, 120.0, 0.1)
+# Accelerometers with less noise are not MEMS, and may be beside better gyros.
+_MEMS = 0.03
+# Size of the mean of gyros [deg/s]: biases, or the earth's rate; of gyros that turn, up to their range.
 _BIAS = (_Law(_ZERO, 9.5, 0.17, 0.95), _Law(0.98 * EARTH_RATE / DEG, 1.02 * EARTH_RATE / DEG, 0.01, 0.05))
-# That of gyros that turn, as a range of sensors allows.
 _TURNING = (_Law(_ZERO, 4000.0, 0.5),)
-# That of three accelerometers in g: gravity within 5 %, as of consumer sensors, or badly calibrated; removed,
-# or not simulated. That of fewer axes is any part of it, and that of accelerometers in motion may be more.
+# Size of the mean of accelerometers [g]. Three of them measure gravity within 5 %, as consumer sensors do, or
+# are badly calibrated, or gravity was removed or not simulated.
 _GRAVITY = _Law(0.95, 1.05, 0.01, 0.9)
 _TRIAD = (_GRAVITY, _Law(0.8, 1.2, 1e-3, 0.05), _Law(_ZERO, 0.1, 0.02, 0.05))
+# Fewer than three measure gravity or any part of it; in motion, there may be more.
 _FEWER = (_Law(0.98, 1.02, 0.01, 0.3), _Law(_ZERO, 1.02, 0.05, 0.7))
 _MOVING = (_GRAVITY, _Law(_ZERO, 30.0, 0.5, 0.1))
 # Noise per sample and mean in counts: less than one to hundreds, and up to 24 bits.
