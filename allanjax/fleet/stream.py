@@ -38,7 +38,7 @@ from allanjax.spectrum.cosine import SegmentedLevel, SegmentSpectra
 # Samples that are processed at once: a call of a compiled program costs as much as many; more need memory.
 _GATHERED = 1 << 17
 # Version of the format of snapshots.
-_FORMAT = 5
+_FORMAT = 6
 
 _FROM_RECORD = (
     "cannot be estimated from the averaged spectrum of a stream; leave it out, or read a part that fits into "

@@ -80,15 +80,18 @@ def _without_facts(recording: Recording, inspection: Inspection) -> Iterator[Lin
         yield Line("rate", "fine", f"{rate} by the time stamps")
         yield Line("jitter", "fine", describe_jitter(recording))
     yield Line("gaps", "look", unknown) if recording.gaps is None else Line("gaps", "fine", "none")
-    yield Line("repeated samples", "fine", "no more than rounding explains")
-    yield Line("interpolation", "fine", "no samples are interpolated")
-    yield Line("resolution", "fine", _resolution(recording, inspection))
-    yield Line("saturation", "fine", "samples do not pile up at the ends of their range")
-    yield Line("dead axes", "fine", "every axis changes")
-    yield Line("at rest", "fine", "no axis moves more than a sensor at rest")
-    yield Line("disturbances", "fine", "; ".join(inspection.notes) or "none")
-    yield Line("spikes", "fine", "no outlying samples")
-    yield Line("lines", "fine", "no spectral lines")
+    fine = {
+        "repeated samples": "no more than rounding explains",
+        "interpolation": "no samples are interpolated",
+        "resolution": _resolution(recording, inspection),
+        "saturation": "samples do not pile up at the ends of their range",
+        "dead axes": "every axis changes",
+        "at rest": "no axis moves more than a sensor at rest",
+        "disturbances": "; ".join(inspection.notes) or "none",
+        "spikes": "no outlying samples",
+        "lines": "no spectral lines",
+    }
+    yield from (Line(name, "fine", finding) for name, finding in fine.items())
     sensors = {axis.sensor for axis in recording.axes}
     if "accel" in sensors:
         yield _gravity(inspection)

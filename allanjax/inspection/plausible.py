@@ -114,76 +114,69 @@ def lattice(x: Samples) -> float | None:
 class Ends:
     """How often samples are at the ends of their range, in constant memory for any number of samples.
 
-    Each array has two rows: the upper end, and the lower end with changed signs.
+    The sides are the upper end, and the lower end with changed signs.
 
     Attributes:
         n: number of samples.
-        value, count, runs: the largest value, the number of samples with it, and the number of their runs.
-        below, count_below: the second largest value, and the number of samples with it.
+        value, count: the largest and second largest value, and the number of samples with each.
+        runs: the number of runs of samples with the largest value.
     """
 
     n: int
-    value: Float[np.ndarray, "2 axes"]
-    count: Int[np.ndarray, "2 axes"]
-    runs: Int[np.ndarray, "2 axes"]
-    below: Float[np.ndarray, "2 axes"]
-    count_below: Int[np.ndarray, "2 axes"]
+    value: Float[np.ndarray, "2 sides axes"]
+    count: Int[np.ndarray, "2 sides axes"]
+    runs: Int[np.ndarray, "sides axes"]
 
     @classmethod
     def of(cls, values: Values) -> Ends:
         """Return the ends of the range of these samples."""
         sides = np.stack([values, -values])
-        value = sides.max(axis=1, initial=-np.inf)
-        at = sides == value[:, None]
+        value, where = _two_largest(sides, 1)
+        at = where[0]
         runs = at[:, :1].sum(axis=1) + (at[:, 1:] & ~at[:, :-1]).sum(axis=1)
-        others = np.where(at, -np.inf, sides)
-        below = others.max(axis=1, initial=-np.inf)
-        count_below = (others == below[:, None]).sum(axis=1)
-        return cls(len(values), value, at.sum(axis=1), runs, below, count_below)
+        return cls(len(values), value, np.stack([each.sum(axis=1) for each in where]), runs)
 
     def merge(self, right: Ends) -> Ends:
         """Return the ends of the range of two pieces together."""
-        value = np.maximum(self.value, right.value)
-        here, there = self.value == value, right.value == value
-        left_below = np.where(here, self.below, self.value)
-        right_below = np.where(there, right.below, right.value)
-        below = np.maximum(left_below, right_below)
-        left_count = (left_below == below) * np.where(here, self.count_below, self.count)
-        right_count = (right_below == below) * np.where(there, right.count_below, right.count)
-        return Ends(
-            self.n + right.n,
-            value,
-            here * self.count + there * right.count,
-            here * self.runs + there * right.runs,
-            below,
-            left_count + right_count,
-        )
+        value, where = _two_largest(np.concatenate([self.value, right.value]), 0)
+        counts = np.concatenate([self.count, right.count])
+        count = np.stack([(counts * each).sum(axis=0) for each in where])
+        runs = sum(x.runs * (x.value[0] == value[0]) for x in (self, right))
+        return Ends(self.n + right.n, value, count, runs)
 
     def of_axes(self, keep: Bool[np.ndarray, " axes"]) -> Ends:
         """Return the ends for some of the axes."""
-        names = [field.name for field in dataclasses.fields(self) if field.name != "n"]
-        return dataclasses.replace(self, **{name: getattr(self, name)[:, keep] for name in names})
+        return Ends(self.n, self.value[..., keep], self.count[..., keep], self.runs[:, keep])
 
-    def piled_up(self, steps: OfAxes) -> Bool[np.ndarray, "2 axes"]:
+    def piled_up(self, steps: OfAxes) -> Bool[np.ndarray, "sides axes"]:
         """Whether more samples are at an end than a tail explains, given each axis's step (0 for none)."""
+        (value, below), (count, count_below) = self.value, self.count
         # Copies of a single extreme sample do not count.
-        often = (self.runs >= _LEAST) | (self.count >= _MANY)
-        adjacent = abs(self.value - steps - self.below) < steps / 2.0
-        tail = np.where(adjacent, self.count_below, 0)
-        beyond = (self.count > tail + 6.0 * np.sqrt(tail + 1.0)) & (self.count >= 5 * _LEAST)
-        has_tail = self.value.sum(axis=0) >= _FEW_LEVELS * steps
+        often = (self.runs >= _LEAST) | (count >= _MANY)
+        tail = np.where(abs(value - steps - below) < steps / 2.0, count_below, 0)
+        beyond = (count > tail + 6.0 * np.sqrt(tail + 1.0)) & (count >= 5 * _LEAST)
+        has_tail = value.sum(axis=0) >= _FEW_LEVELS * steps
         return np.where(steps > 0.0, beyond & has_tail, often)
+
+
+def _two_largest(x: np.ndarray, axis: int) -> tuple[np.ndarray, tuple[np.ndarray, np.ndarray]]:
+    """Return the largest and second largest values along an axis, and where they are."""
+    largest = x.max(axis=axis, keepdims=True, initial=-np.inf)
+    at = x == largest
+    others = np.where(at, -np.inf, x)
+    second = others.max(axis=axis, keepdims=True, initial=-np.inf)
+    return np.stack([largest, second]).squeeze(axis + 1), (at, others == second)
 
 
 def resolved(windows: Windows, axes: Sequence[Axis], steps: OfAxes) -> Iterator[Fact]:
     """Yield facts about axes with coarsely rounded or repeated samples; the step of others is 0."""
     repeated = windows.averaged(windows.repeated)
     rms = np.sqrt(mean_square(windows)[0] / 2.0)
-    per = np.where(steps > 0.0, steps, np.inf)
     # Behind a filter neighbours differ little, but the samples still pass through many steps.
-    noise = np.where(steps > 0.0, rms_within(windows, _OCTAVES) / per, np.inf)
+    within = rms_within(windows, _OCTAVES)
+    noise = np.divide(within, steps, out=np.full(len(steps), np.inf), where=steps > 0.0)
     # Share of equal neighbours in rounded Gaussian noise.
-    chance = np.where(rms > 0.0, 0.5 / np.sqrt(np.pi) / np.maximum(rms / per, 1e-12), 0.0) * (steps > 0.0)
+    chance = 0.5 / np.sqrt(np.pi) * np.divide(steps, rms, out=np.zeros(len(steps)), where=rms > 0.0)
     for k, axis in enumerate(axes):
         name, size = (axis.name,), float(noise[k])
         few = f"the noise of {axis.name} is {plain(size, 2)} steps of {amount(steps[k], axis, 3)}"
@@ -204,9 +197,9 @@ def resolved(windows: Windows, axes: Sequence[Axis], steps: OfAxes) -> Iterator[
 
 def saturated(axes: Sequence[Axis], ends: Ends, steps: OfAxes) -> Iterator[Fact]:
     """Yield facts about axes with more samples at their largest or smallest value than a tail explains."""
-    for side, k in np.argwhere(ends.piled_up(steps) & (ends.count >= _LEAST)):
-        axis, share = axes[k], 100.0 * float(ends.count[side, k]) / ends.n
-        level = amount((1.0, -1.0)[side] * ends.value[side, k], axis, 4)
+    for side, k in np.argwhere(ends.piled_up(steps)):
+        axis, share = axes[k], 100.0 * float(ends.count[0, side, k]) / ends.n
+        level = amount((1.0, -1.0)[side] * ends.value[0, side, k], axis, 4)
         yield Fact(
             "saturation",
             f"{axis.name} is at {level} in {plain(share, 2)} % of the samples",

@@ -72,10 +72,6 @@ _RATES = (10.0, 0.1, 100.0, 0.01)
 
 # Smaller sizes, such as the mean of a simulation, count as this one.
 _ZERO = 1e-12
-# White noise of 1 deg/√h and 1 m/s/√h.
-_ROOT_HOUR: dict[Sensor, float] = {"gyro": DEG / 60.0, "accel": 1.0 / 60.0}
-# Noise of sensors in these units, from the best of navigation grade to consumer sensors of 1 mg/√Hz.
-_NOISE: dict[Sensor, _Laws] = {"gyro": (_Law(2e-4, 4.0, 0.5),), "accel": (_Law(1e-3, 0.6, 0.5),)}
 # Noise of gyros divided by that of accelerometers: units that were tested had 0.17 (fibre-optic gyros beside
 # MEMS accelerometers) to 30, and a defective gyro may have four times as much.
 _RATIO = _Law(0.13, 120.0, 0.1)
@@ -95,17 +91,55 @@ _MOVING = (_GRAVITY, _Law(_ZERO, 30.0, 0.5, 0.1))
 _NOISE_COUNTS, _MEAN_COUNTS = (_Law(0.3, 300.0, 0.7),), (_Law(_ZERO, 2.0**24, 0.5),)
 # A quantity in a unit that is not known.
 _ANYWHERE = (_Law(_ZERO, 1e12, 1.0),)
-# Steps of the output [deg/s and g]: of few bits 0.07 deg/s and 31 mg.
-_STEP: dict[Sensor, _Laws] = {"gyro": (_Law(_ZERO, 0.1, 0.3),), "accel": (_Law(_ZERO, 0.04, 0.3),)}
-# Steps of common sensors, in the same units and times any power of two: 1/131 deg/s, 4.375 mdeg/s and
-# 250 deg/s in 2¹⁵; 1/16384 g and 0.061 mg. The relative precision of steps; the share of such sensors.
-_KNOWN: dict[Sensor, tuple[float, ...]] = {
-    "gyro": (1.0 / 131.0, 4.375e-3, 250.0 / 2**15),
-    "accel": (1.0, 0.061e-3),
-}
+# Relative precision of steps, and share of sensors that have one of the common steps.
 _PRECISION, _COMMON = 1e-3, 0.1
 # Noise is white if its Allan deviation times root of cluster time varies by less than this factor.
 _FLAT = 6.0
+
+
+class _Kind(NamedTuple):
+    """What gyros, or accelerometers, are like.
+
+    Attributes:
+        plural: what they are called.
+        usual: usual unit of samples, deg/s or g, in SI.
+        root_hour, unit: usual unit of white noise, deg/√h or m/s/√h, in SI and in words.
+        noise: law of the white noise in that unit.
+        step: law of the step of the output in deg/s or g.
+        common: steps of common sensors, which may be times any power of two.
+    """
+
+    plural: str
+    usual: float
+    root_hour: float
+    unit: str
+    noise: _Laws
+    step: _Laws
+    common: tuple[float, ...]
+
+
+# Noise is from the best of navigation grade to consumer sensors of 1 mg/√Hz; steps of few bits are 0.07 deg/s
+# and 31 mg. Common steps are 1/131 deg/s, 4.375 mdeg/s and 250 deg/s in 2¹⁵, and 1/16384 g and 0.061 mg.
+_KINDS = {
+    "gyro": _Kind(
+        plural="gyros",
+        usual=DEG,
+        root_hour=DEG / 60.0,
+        unit="deg/√h",
+        noise=(_Law(2e-4, 4.0, 0.5),),
+        step=(_Law(_ZERO, 0.1, 0.3),),
+        common=(1.0 / 131.0, 4.375e-3, 250.0 / 2**15),
+    ),
+    "accel": _Kind(
+        plural="accelerometers",
+        usual=STANDARD_GRAVITY,
+        root_hour=1.0 / 60.0,
+        unit="m/s/√h",
+        noise=(_Law(1e-3, 0.6, 0.5),),
+        step=(_Law(_ZERO, 0.04, 0.3),),
+        common=(1.0, 0.061e-3),
+    ),
+}
 
 
 class _Units(NamedTuple):
@@ -151,9 +185,9 @@ class _Shown:
         return self.axes[0].sensor
 
     @property
-    def plural(self) -> str:
-        """Sensors of this kind in words."""
-        return "gyros" if self.sensor == "gyro" else "accelerometers"
+    def kind(self) -> _Kind:
+        """What sensors of this kind are like."""
+        return _KINDS[self.sensor]
 
     @property
     def unit(self) -> str:
@@ -165,10 +199,14 @@ class _Shown:
         """Factor from the numbers of the record to SI, as read."""
         return float(scales_of(self.axes[:1], self.rate)[0])
 
+    @property
+    def random_walk(self) -> float:
+        """White noise, as read [deg/√h or m/s/√h]."""
+        return self.noise / self.kind.root_hour
+
     def noise_in(self, factor: float) -> str:
         """The noise if samples are this many times as large as read, as text."""
-        unit = "deg/√h" if self.sensor == "gyro" else "m/s/√h"
-        return f"{plain(factor * self.noise / _ROOT_HOUR[self.sensor], 3)} {unit}"
+        return f"{plain(factor * self.random_walk, 3)} {self.kind.unit}"
 
     @cached_property
     def units(self) -> _Units:
@@ -316,21 +354,20 @@ def _log_likelihood(x: _Shown) -> _OfUnits:
 
     found = np.zeros(len(names))
     if x.noise > 0.0:
-        size, laws = x.noise / _ROOT_HOUR[x.sensor], _NOISE[x.sensor]
+        laws = x.kind.noise
         if x.moves:
             # All of it may be motion, as read; more in another unit needs more motion.
-            laws = tuple(law._replace(high=max(law.high, size)) for law in laws)
-        found += of(size, laws, x.noise * np.sqrt(x.rate) / x.scale, _NOISE_COUNTS)
-    whole = DEG if x.sensor == "gyro" else STANDARD_GRAVITY
+            laws = tuple(law._replace(high=max(law.high, x.random_walk)) for law in laws)
+        found += of(x.random_walk, laws, x.noise * np.sqrt(x.rate) / x.scale, _NOISE_COUNTS)
     if x.mean:
-        found += of(x.mean / whole, _means(x), x.mean / x.scale, _MEAN_COUNTS)
+        found += of(x.mean / x.kind.usual, _means(x), x.mean / x.scale, _MEAN_COUNTS)
     if x.step > 0.0:
-        steps = np.where(known, x.step * factors / whole, 1e-9)
-        octaves = np.log2(steps[:, None] / _KNOWN[x.sensor])
+        steps = np.where(known, x.step * factors / x.kind.usual, 1e-9)
+        octaves = np.log2(steps[:, None] / x.kind.common)
         precision = _PRECISION / np.log(2.0)
         common = (abs(octaves - np.rint(octaves)) < precision).any(axis=1) & known
         by_chance = 2.0 * precision * octaves.shape[1]
-        found += np.log(1.0 - _COMMON + _COMMON * common / by_chance) + _mixture(_STEP[x.sensor], steps)
+        found += np.log(1.0 - _COMMON + _COMMON * common / by_chance) + _mixture(x.kind.step, steps)
     return found
 
 
@@ -348,7 +385,7 @@ def _log_ratio(*shown: _Shown) -> Float[np.ndarray, "gyro accel"]:
 
     It is zero within the range of the ratio: that each noise is one that sensors have is counted already.
     """
-    gyro, accel = (x.noise / _ROOT_HOUR[x.sensor] * x.units.factors for x in shown)
+    gyro, accel = (x.random_walk * x.units.factors for x in shown)
     if any(x.moves or not x.noise for x in shown):
         return np.zeros((len(gyro), len(accel)))
     ratio = gyro[:, None] / accel
@@ -372,7 +409,7 @@ def _normalised(log_odds: np.ndarray) -> np.ndarray:
 
 def _finding(x: _Shown) -> str:
     """Return what the sensor shows, as read."""
-    head, noise = f"as read ({x.unit}) the {x.plural}", x.noise_in(1.0)
+    head, noise = f"as read ({x.unit}) the {x.kind.plural}", x.noise_in(1.0)
     if x.mean is None:
         return f"{head} have {noise} of noise"
     mean = f"{plain(x.mean / DEG, 3)} deg/s"
@@ -388,10 +425,10 @@ def _beside(x: _Shown, odds: _OfUnits) -> str:
     if best > 0:
         factor = x.units.factors[best]
         by = f" (a factor of {plain(factor, 4)})" if np.isfinite(factor) else ""
-        return f", and the {x.plural} are probably in {x.units.names[best]}, not {x.unit}{by}"
+        return f", and the {x.kind.plural} are probably in {x.units.names[best]}, not {x.unit}{by}"
     if abs(given - 1.0) < _PRECISION:
-        return f", beside {x.plural} with {x.noise_in(1.0)}"
-    return f", and the label of the {x.plural} is wrong by a factor of {plain(given, 4)}"
+        return f", beside {x.kind.plural} with {x.noise_in(1.0)}"
+    return f", and the label of the {x.kind.plural} is wrong by a factor of {plain(given, 4)}"
 
 
 def _advice(x: _Shown, odds: _OfUnits, impossible: bool) -> tuple[str, str]:
