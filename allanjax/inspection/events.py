@@ -12,12 +12,12 @@ from jaxtyping import Float
 from allanjax.inspection.levels import Levels
 from allanjax.inspection.windows import (
     LENGTHS,
+    Groups,
     OfAxes,
     Scores,
     Steps,
     WhichWindows,
     Windows,
-    groups_of,
     mean_square,
     mean_squares,
     noise_scores,
@@ -98,7 +98,7 @@ class Run:
         return bool(self.axes)
 
 
-def unusual(windows: Windows, sensors: Sequence[str]) -> list[Run]:
+def unusual(windows: Windows, groups: Groups) -> list[Run]:
     """Return runs with unusual noise or an unusual change of the mean, in order, without overlap."""
     # An axis that usually changes but is constant is stuck or switched off.
     stuck = (windows.low == windows.high) & (np.median(windows.repeated, axis=0) < _MOSTLY_NEW)
@@ -106,14 +106,14 @@ def unusual(windows: Windows, sensors: Sequence[str]) -> list[Run]:
     # Runs detected over few windows are left out of the averages over more.
     for length in LENGTHS:
         touched = touched_by(windows, disturbed)
-        scores = list(noise_scores(windows, sensors, length, touched))
+        scores = list(noise_scores(windows, groups, length, touched))
         louder, quieter = (_runs([sign * x for x in scores], length, touched) for sign in (1.0, -1.0))
         disturbed += [Run(a, b, "noisier") for a, b in louder]
         disturbed += [Run(a, b, "quieter") for a, b in quieter if not _overlaps(a, b, disturbed)]
     steps = list(steps_of(windows, touched_by(windows, disturbed)))
     moved: list[Run] = []
     for k, of in enumerate(steps):
-        for a, b in _moves(steps[: k + 1], groups_of(sensors)):
+        for a, b in _moves(steps[: k + 1], groups):
             # A change detected over few windows is detected over more windows, too.
             if not _overlaps(a - of.lag, b + of.lag, moved):
                 moved.append(Run(a, b, "moved"))
@@ -146,7 +146,7 @@ def _runs(scores: Sequence[Scores], length: int, unusual: WhichWindows) -> list[
     return [(a, b) for a, b in runs(peak | still, _GAP) if peak[a:b].any()] + beside
 
 
-def _moves(steps: Sequence[Steps], groups: Sequence[Sequence[int]]) -> list[tuple[int, int]]:
+def _moves(steps: Sequence[Steps], groups: Groups) -> list[tuple[int, int]]:
     """Return runs of windows in which the mean moves as nowhere else, according to the last of the steps.
 
     There are none if it jumps by a similar size three times or more: that is telegraph noise of the sensor.
@@ -288,13 +288,14 @@ class Event(Run):
 
 
 def quiet_parts(
-    windows: Windows, sensors: Sequence[str], may_move: bool, levels: Levels | None
+    windows: Windows, groups: Groups, may_move: bool, levels: Levels | None
 ) -> tuple[tuple[Event, ...], list[tuple[int, int]]]:
     """Return the events of a recording in order, and the parts without those that matter, as runs of windows.
 
-    Events on a single axis and slight events do not affect the samples of other axes. Each remaining part is
-    searched again, since the faint end of an event is only detected beside quiet windows. If the mean may
-    move, as in a model with a step, changes of the mean are not events. The louder of two levels is cut out.
+    `groups` are the groups of axes to score. Events on a single axis and slight events do not affect the
+    samples of other axes. Each remaining part is searched again, since the faint end of an event is only
+    detected beside quiet windows. If the mean may move, as in a model with a step, changes of the mean are
+    not events. The louder of two levels is cut out.
     """
     cut: list[Run] = []
     kept: list[Run] = []
@@ -305,7 +306,7 @@ def quiet_parts(
         pieces, pending = pending, []
         for first, last in pieces:
             part = windows.between(first, last)
-            disturbed = _of_part(part, sensors, may_move) if len(part) >= _FEWEST else []
+            disturbed = _of_part(part, groups, may_move) if len(part) >= _FEWEST else []
             events = list(zip(disturbed, _events(part, disturbed), strict=True))
             cuts = [s for s, e in events if e.is_cut]
             split = bool(cuts) and search < _ROUNDS
@@ -322,7 +323,7 @@ def quiet_parts(
     for s in loud:
         assert levels is not None
         first, last = windows.edges[[s.first, s.last]].tolist()
-        every = tuple(range(len(sensors)))
+        every = tuple(range(windows.mean.shape[1]))
         found.append(Event(first, last, "noisier", (), every, levels.axis, levels.ratio))
     return tuple(sorted(found, key=lambda event: event.first)), sorted(parts)
 
@@ -333,9 +334,9 @@ def _between(cut: Sequence[Run], count: int) -> list[tuple[int, int]]:
     return [(a, b) for a, b in zip(edges[::2], [*edges[1::2], count], strict=True) if b > a]
 
 
-def _of_part(part: Windows, sensors: Sequence[str], may_move: bool) -> list[Run]:
+def _of_part(part: Windows, groups: Groups, may_move: bool) -> list[Run]:
     """Return the unusual runs of a part, with the axes where they matter."""
-    disturbed = unusual(part, sensors)
+    disturbed = unusual(part, groups)
     if may_move:
         disturbed = [s for s in disturbed if _what(part, s, disturbed).kind not in MOVES]
     effects, found = effects_of(part, disturbed), []
@@ -388,8 +389,7 @@ def _what(windows: Windows, s: Run, events: Sequence[Run]) -> _What:
         return _What("silent", int(np.argmax(constant.sum(axis=0))), 0.0)
     usual, ratio = _levels(windows, inside, events)
     if s.kind == "quieter":
-        quietest = int(np.argmin(ratio.min(axis=0)))
-        return _What("quieter", quietest, float(np.sqrt(1.0 / max(ratio[:, quietest].min(), 1e-12))))
+        return _changed("quieter", 1.0 / np.maximum(ratio, 1e-12))
     single = _single(windows, inside) > _SINGLE
     if s.kind == "moved" or ratio[0].max() < _SAME_NOISE or single:
         moved = _moved(windows, s, events)
@@ -404,8 +404,14 @@ def _what(windows: Windows, s: Run, events: Sequence[Run]) -> _What:
         axis = int(np.argmax(reach / np.sqrt(usual[0])))
         kind: Kind = "spike" if length <= 3 and single else "knock"
         return _What(kind, axis, float(reach[axis]))
-    axis = int(np.argmax(ratio.max(axis=0)))
-    return _What("noisier", axis, float(np.sqrt(ratio[:, axis].max())))
+    return _changed("noisier", ratio)
+
+
+def _changed(kind: Kind, ratio: Float[np.ndarray, "scales axes"]) -> _What:
+    """Return a change of the noise, of which mean square differences change by this factor."""
+    largest = ratio.max(axis=0)
+    axis = int(np.argmax(largest))
+    return _What(kind, axis, float(np.sqrt(largest[axis])))
 
 
 def _levels(

@@ -21,7 +21,7 @@ from allanjax.inspection.facts import (
     span,
 )
 from allanjax.inspection.levels import levels_of
-from allanjax.inspection.windows import Sampled, Windows
+from allanjax.inspection.windows import Sampled, Windows, groups_of
 from allanjax.record.completion import MOST_MISSING
 
 # Least share of the recording that coefficients may be estimated from.
@@ -79,8 +79,8 @@ class Treatment:
         self.axes, self.rate = sampled.axes, sampled.rate
         self.n, self.as_is = windows.n, as_is
         levels = levels_of(windows, self.rate)
-        sensors = [axis.sensor for axis in self.axes]
-        self.events, quiet = quiet_parts(windows, sensors, may_move, levels)
+        groups = groups_of([axis.sensor for axis in self.axes])
+        self.events, quiet = quiet_parts(windows, groups, may_move, levels)
         edges = windows.edges.tolist()
         self.quiet = [(edges[a], edges[b]) for a, b in quiet]
         matter = [e for e in self.events if e.matters]

@@ -71,7 +71,8 @@ Which: TypeAlias = Bool[np.ndarray, " n"]
 WhichWindows: TypeAlias = Bool[np.ndarray, " w"]
 OfAxes: TypeAlias = Float[np.ndarray, " axes"]
 _OfWindows: TypeAlias = Float[np.ndarray, "w axes"]
-#: Scores of axes and groups of axes.
+#: Groups of axes by their indices, and their scores.
+Groups: TypeAlias = Sequence[Sequence[int]]
 Scores: TypeAlias = Float[np.ndarray, "groups places"]
 
 
@@ -295,12 +296,12 @@ class Steps(NamedTuple):
     step: Float[np.ndarray, "axes places"]
     scatter: OfAxes
 
-    def mean_squares(self, groups: Sequence[Sequence[int]]) -> Scores:
+    def mean_squares(self, groups: Groups) -> Scores:
         """Mean squares of the steps of groups of axes, in scatters."""
         squares = (self.step / self.scatter[:, None]) ** 2
         return np.stack([squares[g].mean(axis=0) for g in groups])
 
-    def scores(self, groups: Sequence[Sequence[int]]) -> Scores:
+    def scores(self, groups: Groups) -> Scores:
         """Scores of groups of axes."""
         roots = np.cbrt(self.mean_squares(groups) + _SOFT)
         return _scored(roots, np.full(len(groups), _LEAST_STEP_SCATTER))
@@ -340,7 +341,7 @@ def lattice_power(windows: Windows) -> OfAxes:
     return share * windows.steps**2 / 4.0
 
 
-def groups_of(sensors: Sequence[str]) -> list[list[int]]:
+def groups_of(sensors: Sequence[str]) -> Groups:
     """Return the groups of axes to score: each axis, each sensor, and all, since handling moves all."""
     alone = [[k] for k in range(len(sensors))]
     kinds = [[k for k, s in enumerate(sensors) if s == kind] for kind in dict.fromkeys(sensors)]
@@ -348,20 +349,17 @@ def groups_of(sensors: Sequence[str]) -> list[list[int]]:
     return alone + together + ([list(range(len(sensors)))] if len(sensors) > 1 else [])
 
 
-def noise_scores(
-    windows: Windows, sensors: Sequence[str], length: int, left_out: WhichWindows
-) -> Iterator[Scores]:
-    """Return scores of the noise at each cluster size within a window, averaged over `length` windows.
+def noise_scores(windows: Windows, groups: Groups, length: int, left_out: WhichWindows) -> Iterator[Scores]:
+    """Yield scores of the noise at each cluster size within a window, averaged over `length` windows.
 
     Place k is the average from window k on. Windows that are left out count as typical ones.
     """
     if len(windows) < _FEWEST * length:
         return
-    groups, floor = groups_of(sensors), lattice_power(windows)
     # A short window at a seam has fewer differences and scatters more than the others.
     few = 2 * windows.pairs < np.median(windows.pairs, axis=1, keepdims=True)
     squares = np.where((left_out | few)[..., None], np.nan, mean_squares(windows))
-    for root, pairs in zip(np.cbrt(squares + floor), windows.pairs, strict=True):
+    for root, pairs in zip(np.cbrt(squares + lattice_power(windows)), windows.pairs, strict=True):
         known = np.isfinite(root[:, 0])
         if not known.any():
             continue
