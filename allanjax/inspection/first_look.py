@@ -282,7 +282,7 @@ def _of_samples(recording: Recording, treatment: Treatment, spikes: Sequence[Whi
         inside = np.any([(times >= a) & (times < b) for a, b in treatment.parts], axis=0)
         spikes = [at & inside for at in spikes]
     columns = zip(recording.values[rows].T, _filled(recording)[rows].T, strict=True)
-    own = [x[~filled] for x, filled in columns]
+    own = [x[~filled] if filled.any() else x for x, filled in columns]
     steps = np.array([lattice(x[:_LOOKED_AT]) or 0.0 for x in own])
     facts = list(resolved(treatment.part, axes, steps))
     held = _names(fact for fact in facts if fact.kind == "repeated samples" or fact.grave)
@@ -300,7 +300,7 @@ def _of_samples(recording: Recording, treatment: Treatment, spikes: Sequence[Whi
         if axis.name not in held | grave:
             outliers[k], of_axis = heavy_tails(calm[:, k], axis, float(steps[k]))
             facts += of_axis
-    single = spike_facts(axes, recording.rate, recording.values - whole, spikes)
+    single = spike_facts(recording, whole, spikes)
     facts += [fact for fact in single if not grave.issuperset(fact.axes)]
     if not treatment.as_is:
         for axis, at in zip(axes, spikes, strict=True):

@@ -11,7 +11,7 @@ from allanjax.inspection.events import TRIFLE
 from allanjax.inspection.facts import Fact, amount, listed
 from allanjax.inspection.windows import Samples, Values, Which, runs
 from allanjax.record.completion import bridged
-from allanjax.record.recording import Axis
+from allanjax.record.recording import Axis, Recording
 
 # Standard deviations beyond which a sample is an outlier: Gaussian noise has one in 10⁹ samples.
 _FAR = 6.0
@@ -39,13 +39,14 @@ def spikes_in(x: Samples, filled: Which) -> Which:
     return np.zeros_like(at) if _is_trifle(float(off @ off) / len(x), without) else at
 
 
-def spike_facts(axes: Sequence[Axis], rate: float, off: Values, spikes: Sequence[Which]) -> Iterator[Fact]:
-    """Yield facts about isolated outliers that are left out, given how far `off` each sample is."""
-    for axis, distance, at in zip(axes, off.T, spikes, strict=True):
+def spike_facts(recording: Recording, without: Values, spikes: Sequence[Which]) -> Iterator[Fact]:
+    """Yield facts about isolated outliers that are left out, given the samples without them."""
+    rate, columns = recording.rate, zip(recording.values.T, without.T, strict=True)
+    for axis, (x, calm), at in zip(recording.axes, columns, spikes, strict=True):
         times = (np.flatnonzero(at) / rate).tolist()
         if not times:
             continue
-        size = float(abs(distance).max())
+        size = float(abs(x - calm).max())
         count = f"{len(times)} outlying samples" if len(times) > 1 else "1 outlying sample"
         share = f" ({plain(100.0 * float(at.mean()), 1)} %)" if at.mean() >= TRIFLE else ""
         text = f"{count} on {axis.name}{share}, up to {amount(size, axis, 3)} off"
