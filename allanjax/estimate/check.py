@@ -36,7 +36,7 @@ from allanjax.estimate.inference import estimate_of
 from allanjax.estimate.spectral.components import columns_of
 from allanjax.estimate.spectral.fit import chi_squared
 from allanjax.inspection import Inspection, inspect
-from allanjax.inspection.first_look import Line, Verdict, lines_of, worst
+from allanjax.inspection.checks import Line, Verdict, lines_of, worst
 from allanjax.inspection.spectral import bandwidth_in, spectrum_of
 from allanjax.noise.estimate import Estimate
 from allanjax.noise.model import Model

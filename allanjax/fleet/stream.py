@@ -38,7 +38,7 @@ from allanjax.spectrum.cosine import SegmentedLevel, SegmentSpectra
 # Samples that are processed at once: a call of a compiled program costs as much as many; more need memory.
 _GATHERED = 1 << 17
 # Version of the format of snapshots.
-_FORMAT = 5
+_FORMAT = 6
 
 _FROM_RECORD = (
     "cannot be estimated from the averaged spectrum of a stream; leave it out, or read a part that fits into "
@@ -222,17 +222,7 @@ class AllanAccumulator:
         if not self.n:
             raise AllanjaxError(f"{self.name or 'the stream'} has no samples yet; add some with update()")
         living = self._living()
-        return look(
-            living._windows,
-            living.axes,
-            self.rate,
-            name=self.name,
-            as_is=as_is,
-            vibrating=vibrating,
-            ends=living._ends,
-            dead=self.dead,
-            given=self.given,
-        )
+        return look(living, living._windows, living._ends, self.dead, as_is=as_is, vibrating=vibrating)
 
     def fit(
         self,

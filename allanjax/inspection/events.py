@@ -1,36 +1,30 @@
-"""Events, in which a recording differs from its rest: their effect, and the quiet parts between them.
-
-Events are cut out, filled in on one axis, or kept, or the recording is refused.
-"""
+"""Events, in which a recording differs from its rest: their effect, and the quiet parts between them."""
 
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping, Sequence
-from typing import Literal
+from collections.abc import Sequence
+from typing import Literal, NamedTuple
 
 import numpy as np
 from jaxtyping import Float
 
-from allanjax.base.wording import plain
-from allanjax.inspection.facts import Consequence, Fact, amount, grid, listed, seconds, span
 from allanjax.inspection.levels import Levels
 from allanjax.inspection.windows import (
     LENGTHS,
+    Groups,
     OfAxes,
     Scores,
     Steps,
     WhichWindows,
     Windows,
-    groups_of,
+    mean_square,
     mean_squares,
     noise_scores,
     runs,
     shortest_half,
     steps_of,
 )
-from allanjax.record.completion import MOST_MISSING
-from allanjax.record.recording import Axis
 
 # Scores beyond which windows differ from the rest. In the clean records on which they were set (see
 # benchmarks/studies/first_look.py) the largest were 6.8 except for telegraph noise, and 10.2 for steps.
@@ -77,35 +71,6 @@ _CHANGED = 8.0
 _ONE_WAY = 0.6
 # Number of windows up to which an event is sudden, and share of the record up to which it is short.
 _SUDDEN, _SHORT = 6, 0.02
-# Least share of the recording that coefficients may be estimated from.
-_LEAST_SHARE = 0.3
-# A ratio of the noise above which the quieter one is nearly none.
-_FAR = 1e3
-# Ways to obtain coefficients nevertheless.
-_REMEDY = (
-    "select a part with --start and --stop (start=, stop=, .between), use all samples with --as-is "
-    "(as_is=True), or run allanjax critique for the causes"
-)
-# Clauses about one event and about several: of another noise, and at an instant; of each kind, in the order
-# in which they are reported.
-_NOISE = "{spans} is {ratio} {kind} than the rest", "{spans} are {ratio} {kind} than the rest"
-_INSTANT = "a {kind} of {size} at {places} ({axis})", "{count} {kind}s of up to {size} ({axis}) at {places}"
-_CLAUSES = {
-    "noisier": _NOISE,
-    "quieter": _NOISE,
-    "silent": ("{axis} does not change at all in {spans}",) * 2,
-    "warm-up": ("warm-up drift until {end} s ({axis} starts {size} off)",) * 2,
-    "step": _INSTANT,
-    "shift": ("{axis} shifts by {size} in {spans}", "the mean shifts by up to {size} ({axis}) in {spans}"),
-    "knock": _INSTANT,
-    "spike": (
-        "an outlying sample {size} off at {places} ({axis})",
-        "{count} outlying samples of up to {size} off ({axis}) at {places}",
-    ),
-}
-
-#: Samples by axis name: ranges from the first index up to but not including the last.
-Places = Mapping[str, tuple[tuple[int, int], ...]]
 #: Kinds of events, and those that change the mean only.
 Kind = Literal["noisier", "quieter", "silent", "knock", "spike", "step", "warm-up", "shift"]
 MOVES = ("step", "shift", "warm-up")
@@ -133,7 +98,7 @@ class Run:
         return bool(self.axes)
 
 
-def unusual(windows: Windows, sensors: Sequence[str]) -> list[Run]:
+def unusual(windows: Windows, groups: Groups) -> list[Run]:
     """Return runs with unusual noise or an unusual change of the mean, in order, without overlap."""
     # An axis that usually changes but is constant is stuck or switched off.
     stuck = (windows.low == windows.high) & (np.median(windows.repeated, axis=0) < _MOSTLY_NEW)
@@ -141,14 +106,14 @@ def unusual(windows: Windows, sensors: Sequence[str]) -> list[Run]:
     # Runs detected over few windows are left out of the averages over more.
     for length in LENGTHS:
         touched = touched_by(windows, disturbed)
-        scores = list(noise_scores(windows, sensors, length, touched))
+        scores = list(noise_scores(windows, groups, length, touched))
         louder, quieter = (_runs([sign * x for x in scores], length, touched) for sign in (1.0, -1.0))
         disturbed += [Run(a, b, "noisier") for a, b in louder]
         disturbed += [Run(a, b, "quieter") for a, b in quieter if not _overlaps(a, b, disturbed)]
-    steps = list(steps_of(windows, sensors, touched_by(windows, disturbed)))
+    steps = list(steps_of(windows, touched_by(windows, disturbed)))
     moved: list[Run] = []
     for k, of in enumerate(steps):
-        for a, b in _moves(steps[: k + 1], groups_of(sensors)):
+        for a, b in _moves(steps[: k + 1], groups):
             # A change detected over few windows is detected over more windows, too.
             if not _overlaps(a - of.lag, b + of.lag, moved):
                 moved.append(Run(a, b, "moved"))
@@ -181,17 +146,17 @@ def _runs(scores: Sequence[Scores], length: int, unusual: WhichWindows) -> list[
     return [(a, b) for a, b in runs(peak | still, _GAP) if peak[a:b].any()] + beside
 
 
-def _moves(steps: Sequence[Steps], groups: Sequence[Sequence[int]]) -> list[tuple[int, int]]:
+def _moves(steps: Sequence[Steps], groups: Groups) -> list[tuple[int, int]]:
     """Return runs of windows in which the mean moves as nowhere else, according to the last of the steps.
 
     There are none if it jumps by a similar size three times or more: that is telegraph noise of the sensor.
     """
     last = steps[-1]
-    alarmed = last.score.max(axis=1) > _STEP
+    scores = last.scores(groups)
+    alarmed = scores.max(axis=1) > _STEP
     if not alarmed.any():
         return []
-    squares = (last.step / last.scatter[:, None]) ** 2
-    sizes = np.sqrt(np.max([squares[g].mean(axis=0) for g, a in zip(groups, alarmed, strict=True) if a], 0))
+    sizes = np.sqrt(last.mean_squares(groups)[alarmed].max(axis=0))
     peaks, left = 0, sizes.copy()
     while peaks < _TELEGRAPH and left.max() > _COMPARABLE * sizes.max():
         place = int(np.argmax(left))
@@ -199,7 +164,7 @@ def _moves(steps: Sequence[Steps], groups: Sequence[Sequence[int]]) -> list[tupl
         left[max(place - 2 * last.lag, 0) : place + 2 * last.lag + 1] = 0.0
     if peaks >= _TELEGRAPH:
         return []
-    strength = last.score[alarmed].max(axis=0)
+    strength = scores[alarmed].max(axis=0)
     clear = [(a, b) for a, b in runs(sizes > _STILL_MOVING, _GAP) if strength[a:b].max() > _STEP]
     return [_where(steps, a, b, a + int(np.argmax(strength[a:b]))) for a, b in clear]
 
@@ -207,7 +172,7 @@ def _moves(steps: Sequence[Steps], groups: Sequence[Sequence[int]]) -> list[tupl
 def _where(steps: Sequence[Steps], first: int, last: int, place: int) -> tuple[int, int]:
     """Run of windows in which the mean moves, given the run of places that show it and the clearest."""
     *finer, coarsest = steps
-    lag, places = coarsest.lag, coarsest.score.shape[1]
+    lag, places = coarsest.lag, coarsest.step.shape[1]
     # Place p compares windows p … p+lag−1 with as many that follow: it shows a change around p + lag.
     end = places + 2 * lag - 1
     if first == 0:
@@ -237,8 +202,8 @@ def _merged(disturbed: Sequence[Run]) -> list[Run]:
     for s in disturbed:
         if merged and s.first <= merged[-1].last:
             o = merged[-1]
-            kinds = [k for k in ("silent", "noisier", "quieter", "moved") if k in (o.kind, s.kind)]
-            merged[-1] = Run(o.first, max(o.last, s.last), kinds[0])
+            kind = min(o.kind, s.kind, key=("silent", "noisier", "quieter", "moved").index)
+            merged[-1] = Run(o.first, max(o.last, s.last), kind)
         else:
             merged.append(s)
     return merged
@@ -249,18 +214,15 @@ def effects_of(windows: Windows, disturbed: Sequence[Run]) -> Float[np.ndarray, 
 
     A trifling change of the variance is none.
     """
-    touched = touched_by(windows, disturbed)
+    count = np.concatenate([[0], np.cumsum(touched_by(windows, disturbed))])
     effects = np.zeros((len(disturbed), windows.mean.shape[1]))
     # Mean square differences at each cluster size, their weights, and how many windows each spans.
-    pairs = windows.pairs.astype(float)
-    squares = [(np.nan_to_num(x), count, 1) for x, count in zip(mean_squares(windows), pairs, strict=True)]
-    steps = steps_of(windows, ["axis"] * windows.mean.shape[1])
-    squares += [((of.step**2).T, np.ones(of.step.shape[1]), 2 * of.lag) for of in steps]
+    within = zip(np.nan_to_num(mean_squares(windows)), windows.pairs.astype(float), strict=True)
+    squares = [(square, pairs, 1) for square, pairs in within]
+    squares += [((of.step**2).T, np.ones(of.step.shape[1]), 2 * of.lag) for of in steps_of(windows)]
     for square, weight, width in squares:
-        # A place counts as touched if one of its windows is in a run.
-        count = np.concatenate([[0], np.cumsum(touched)])
-        places = count[width:] > count[: len(count) - width]
-        quiet = ~places & (weight > 0)
+        # A place is not quiet if one of its windows is in a run.
+        quiet = (count[width:] == count[: len(count) - width]) & (weight > 0)
         if quiet.sum() < 4:
             continue
         level = np.average(square[quiet], axis=0, weights=weight[quiet])
@@ -326,44 +288,44 @@ class Event(Run):
 
 
 def quiet_parts(
-    windows: Windows, sensors: Sequence[str], may_move: bool = False, levels: Levels | None = None
-) -> tuple[tuple[Event, ...], tuple[tuple[int, int], ...]]:
-    """Return the events of a recording in order, and the parts without those that matter, as sample indices.
+    windows: Windows, groups: Groups, may_move: bool, levels: Levels | None
+) -> tuple[tuple[Event, ...], list[tuple[int, int]]]:
+    """Return the events of a recording in order, and the parts without those that matter, as runs of windows.
 
-    Events on a single axis and slight events do not affect the samples of other axes. Each remaining part is
-    searched again, since the faint end of an event is only detected beside quiet windows. If the mean may
-    move, as in a model with a step, changes of the mean are not events. The louder of two levels is cut out.
+    `groups` are the groups of axes to score. Events on a single axis and slight events do not affect the
+    samples of other axes. Each remaining part is searched again, since the faint end of an event is only
+    detected beside quiet windows. If the mean may move, as in a model with a step, changes of the mean are
+    not events. The louder of two levels is cut out.
     """
     cut: list[Run] = []
     kept: list[Run] = []
     loud = [] if levels is None else [Run(a, b, "noisier") for a, b in runs(levels.loud, 0)]
-    pending, parts = [(a, b, 0) for a, b in _between(loud, len(windows))], []
-    while pending:
-        first, last, rounds = pending.pop()
-        part = windows.between(first, last)
-        disturbed = _of_part(part, sensors, may_move) if len(part) >= _FEWEST else []
-        events = list(zip(disturbed, _events(part, disturbed), strict=True))
-        cuts = [s for s, e in events if e.is_cut]
-        split = bool(cuts) and rounds < _ROUNDS
-        # Harmless events may be detected again in a part; one that is kept is not, if it fills the part.
-        for s, e in events:
-            if not split or e.matters:
-                moved = dataclasses.replace(s, first=first + s.first, last=first + s.last)
-                (cut if e.is_cut else kept).append(moved)
-        if not split:
-            parts.append((first, last))
-            continue
-        calm = _between(cuts, len(part))
-        longest = max((b - a for a, b in calm), default=0)
-        pending += [(first + a, first + b, rounds + 1) for a, b in calm if b - a >= min(_FEWEST, longest)]
-    first_samples = windows.edges.tolist()
-    quiet = tuple((first_samples[a], first_samples[b]) for a, b in sorted(parts))
+    pending = _between(loud, len(windows))
+    parts: list[tuple[int, int]] = []
+    for search in range(_ROUNDS + 1):
+        pieces, pending = pending, []
+        for first, last in pieces:
+            part = windows.between(first, last)
+            disturbed = _of_part(part, groups, may_move) if len(part) >= _FEWEST else []
+            events = list(zip(disturbed, _events(part, disturbed), strict=True))
+            cuts = [s for s, e in events if e.is_cut]
+            split = bool(cuts) and search < _ROUNDS
+            # Harmless events may be detected again in a part; one that is kept is not, if it fills the part.
+            for s, e in events:
+                if not split or e.matters:
+                    moved = dataclasses.replace(s, first=first + s.first, last=first + s.last)
+                    (cut if e.is_cut else kept).append(moved)
+            calm = _between(cuts, len(part)) if split else [(0, len(part))]
+            longest = max((b - a for a, b in calm), default=0)
+            remaining = [(first + a, first + b) for a, b in calm if b - a >= min(_FEWEST, longest)]
+            (pending if split else parts).extend(remaining)
     found = _events(windows, _joined(cut) + _joined(kept))
     for s in loud:
         assert levels is not None
-        every, edges = tuple(range(len(sensors))), (first_samples[s.first], first_samples[s.last])
-        found.append(Event(*edges, "noisier", (), every, levels.axis, levels.ratio))
-    return tuple(sorted(found, key=lambda event: event.first)), quiet
+        first, last = windows.edges[[s.first, s.last]].tolist()
+        every = tuple(range(windows.mean.shape[1]))
+        found.append(Event(first, last, "noisier", (), every, levels.axis, levels.ratio))
+    return tuple(sorted(found, key=lambda event: event.first)), sorted(parts)
 
 
 def _between(cut: Sequence[Run], count: int) -> list[tuple[int, int]]:
@@ -372,29 +334,28 @@ def _between(cut: Sequence[Run], count: int) -> list[tuple[int, int]]:
     return [(a, b) for a, b in zip(edges[::2], [*edges[1::2], count], strict=True) if b > a]
 
 
-def _of_part(part: Windows, sensors: Sequence[str], may_move: bool) -> list[Run]:
+def _of_part(part: Windows, groups: Groups, may_move: bool) -> list[Run]:
     """Return the unusual runs of a part, with the axes where they matter."""
-    disturbed = unusual(part, sensors)
+    disturbed = unusual(part, groups)
     if may_move:
-        disturbed = [s for s in disturbed if _what(part, s, disturbed)[0] not in MOVES]
-    effects, described = effects_of(part, disturbed), []
+        disturbed = [s for s in disturbed if _what(part, s, disturbed).kind not in MOVES]
+    effects, found = effects_of(part, disturbed), []
     limit = _MATTERS if effects.max(axis=1, initial=0.0).sum() < _TOGETHER else _COUNTS
     for s, effect in zip(disturbed, effects, strict=True):
         # By chance, the effect of a run is the root of its share of the part.
         clear = max(_MATTERS, _CHANCE * np.sqrt((s.last - s.first) / len(part)))
-        axes = effect > min(clear, max(limit, float(effect.max()) * (1.0 - 1e-9)))
-        found = tuple(effect.tolist()), tuple(np.flatnonzero(axes).tolist())
-        described.append(dataclasses.replace(s, effects=found[0], axes=found[1]))
-    return described
+        axes = np.flatnonzero(effect > min(clear, max(limit, float(effect.max()) * (1.0 - 1e-9))))
+        found.append(dataclasses.replace(s, effects=tuple(effect.tolist()), axes=tuple(axes.tolist())))
+    return found
 
 
 def _events(windows: Windows, disturbed: Sequence[Run]) -> list[Event]:
     """Return disturbed runs as events."""
-    edges, events = windows.edges, []
+    edges, events = windows.edges.tolist(), []
     for s in disturbed:
-        kind, axis, size = _what(windows, s, disturbed)
-        axes = tuple(sorted({axis, *s.axes})) if s.matters else ()
-        events.append(Event(int(edges[s.first]), int(edges[s.last]), kind, s.effects, axes, axis, size))
+        what = _what(windows, s, disturbed)
+        axes = tuple(sorted({what.axis, *s.axes})) if s.matters else ()
+        events.append(Event(edges[s.first], edges[s.last], what.kind, s.effects, axes, what.axis, what.size))
     return events
 
 
@@ -412,17 +373,25 @@ def _joined(disturbed: Sequence[Run]) -> list[Run]:
     return joined
 
 
-def _what(windows: Windows, s: Run, events: Sequence[Run]) -> tuple[Kind, int, float]:
-    """Return the kind of an event, the axis where it is largest, and its size there."""
+class _What(NamedTuple):
+    """What an event is: its kind, the axis where it is largest, and its size there; see `Event`."""
+
+    kind: Kind
+    axis: int
+    size: float
+
+
+def _what(windows: Windows, s: Run, events: Sequence[Run]) -> _What:
+    """Return what an event is."""
     inside = slice(s.first, s.last)
     if s.kind == "silent":
         constant = windows.low[inside] == windows.high[inside]
-        return "silent", int(np.argmax(constant.sum(axis=0))), 0.0
+        return _What("silent", int(np.argmax(constant.sum(axis=0))), 0.0)
     usual, ratio = _levels(windows, inside, events)
     if s.kind == "quieter":
-        quietest = int(np.argmin(ratio.min(axis=0)))
-        return "quieter", quietest, float(np.sqrt(1.0 / max(ratio[:, quietest].min(), 1e-12)))
-    if s.kind == "moved" or ratio[0].max() < _SAME_NOISE or _single(windows, inside) > _SINGLE:
+        return _changed("quieter", 1.0 / np.maximum(ratio, 1e-12))
+    single = _single(windows, inside) > _SINGLE
+    if s.kind == "moved" or ratio[0].max() < _SAME_NOISE or single:
         moved = _moved(windows, s, events)
         if moved is not None:
             return moved
@@ -433,10 +402,16 @@ def _what(windows: Windows, s: Run, events: Sequence[Run]) -> tuple[Kind, int, f
         high, low = windows.high[inside].max(axis=0), windows.low[inside].min(axis=0)
         reach = np.maximum(high - middle, middle - low)
         axis = int(np.argmax(reach / np.sqrt(usual[0])))
-        kind: Kind = "spike" if length <= 3 and _single(windows, inside) > _SINGLE else "knock"
-        return kind, axis, float(reach[axis])
-    axis = int(np.argmax(ratio.max(axis=0)))
-    return "noisier", axis, float(np.sqrt(ratio[:, axis].max()))
+        kind: Kind = "spike" if length <= 3 and single else "knock"
+        return _What(kind, axis, float(reach[axis]))
+    return _changed("noisier", ratio)
+
+
+def _changed(kind: Kind, ratio: Float[np.ndarray, "scales axes"]) -> _What:
+    """Return a change of the noise, of which mean square differences change by this factor."""
+    largest = ratio.max(axis=0)
+    axis = int(np.argmax(largest))
+    return _What(kind, axis, float(np.sqrt(largest[axis])))
 
 
 def _levels(
@@ -446,15 +421,11 @@ def _levels(
 
     The typical ones are from the windows outside all events, or from all windows if there are none.
     """
-
-    def level(rows: slice | WhichWindows) -> Float[np.ndarray, "scales axes"]:
-        return windows.power[:, rows].sum(axis=1) / np.maximum(windows.pairs[:, rows].sum(axis=1), 1)[:, None]
-
     untouched = ~touched_by(windows, events)
-    usual = level(untouched if untouched.any() else slice(None))
+    usual = mean_square(windows, untouched if untouched.any() else slice(None))
     usual = np.where(usual > 0.0, usual, np.inf)
     known = (windows.pairs[:, inside].sum(axis=1) > 0)[:, None] & np.isfinite(usual)
-    return usual, np.where(known, level(inside) / usual, 1.0)
+    return usual, np.where(known, mean_square(windows, inside) / usual, 1.0)
 
 
 def _single(windows: Windows, inside: slice) -> float:
@@ -463,7 +434,7 @@ def _single(windows: Windows, inside: slice) -> float:
     return float(np.max(windows.peak[inside].max(axis=0) ** 2 / np.where(power > 0.0, power, np.inf)))
 
 
-def _moved(windows: Windows, s: Run, events: Sequence[Run]) -> tuple[Kind, int, float] | None:
+def _moved(windows: Windows, s: Run, events: Sequence[Run]) -> _What | None:
     """Return a step, warm-up or other change of the mean; None if the mean is the same before and after."""
     usual = np.maximum(abs(np.diff(windows.mean, axis=0)).mean(axis=0), 1e-300)
     span = np.ptp(windows.mean[s.first : s.last], axis=0)
@@ -472,164 +443,16 @@ def _moved(windows: Windows, s: Run, events: Sequence[Run]) -> tuple[Kind, int, 
         away = windows.mean[0] - (after.mean(axis=0) if len(after) else windows.mean[-1])
         axis = int(np.argmax(abs(away) / usual))
         if abs(away[axis]) > max(_CHANGED * usual[axis], _ONE_WAY * span[axis]):
-            return "warm-up", axis, float(away[axis])
+            return _What("warm-up", axis, float(away[axis]))
     else:
         jump, scatter = beside(windows, s, events)
         far = abs(jump) / np.where(scatter > 0.0, scatter, np.inf)
         axis = int(np.argmax(far))
         if far[axis] > _CHANGED:
-            return ("step" if s.last - s.first <= _SUDDEN else "shift"), axis, float(jump[axis])
+            return _What("step" if s.last - s.first <= _SUDDEN else "shift", axis, float(jump[axis]))
     if s.kind != "moved":
         return None
     # Neighbours are included, since a single window has no range.
     span = np.ptp(windows.mean[max(s.first - 1, 0) : s.last + 1], axis=0)
     axis = int(np.argmax(span / usual))
-    return "shift", axis, float(span[axis])
-
-
-class Treatment:
-    """How the events of a recording of n samples of these axes at this rate [Hz] are handled.
-
-    Attributes:
-        as_is: whether all samples are used in any case.
-        quiet: parts without the events that must be cut out, as sample indices.
-        cut, alone, harmless: the events that are cut out; that affect a single axis; that are kept, since
-            they change no coefficient, or are how it varies.
-        possible: whether enough remains without the events that must be cut out.
-        doubt: why a long quiet part may not be the sensor at rest, in words; "" if it is, or there is none.
-    """
-
-    def __init__(
-        self,
-        events: Sequence[Event],
-        quiet: Sequence[tuple[int, int]],
-        axes: Sequence[Axis],
-        rate: float,
-        n: int,
-        as_is: bool,
-        levels: Levels | None,
-    ) -> None:
-        self.axes, self.rate, self.n, self.as_is, self.quiet = axes, rate, n, as_is, quiet
-        matter = [e for e in events if e.matters]
-        self.cut = [e for e in matter if e.is_cut]
-        self.alone = [e for e in matter if e.is_of_one_axis and not e.is_slight]
-        self.harmless = [e for e in events if e.is_slight or not e.matters]
-        self.doubt = "" if levels is None else levels.doubt
-        # A quiet part beside a loud one is the sensor, however short it is.
-        least = 0.0 if levels is not None else _LEAST_SHARE * n
-        self.possible = sum(b - a for a, b in quiet) >= least and not self.doubt
-
-    @property
-    def parts(self) -> tuple[tuple[float, float], ...]:
-        """Start and end [s] of the parts that are used, rounded inwards; empty if all samples are used."""
-        if not self.cut or not self.possible or self.as_is:
-            return ()
-        step, whole = grid(self.n / self.rate), self.n / self.rate
-        starts = [np.ceil(a / self.rate / step - 1e-9) * step if a else 0.0 for a, _ in self.quiet]
-        stops = [np.floor(b / self.rate / step + 1e-9) * step if b < self.n else whole for _, b in self.quiet]
-        return tuple((round(float(a), 9), round(float(b), 9)) for a, b in zip(starts, stops, strict=True))
-
-    @property
-    def lost(self) -> dict[str, tuple[tuple[int, int], ...]]:
-        """Samples of a single axis that are filled in from its other samples, if enough of these remain."""
-        ranges = {name: tuple((e.first, e.last) for e in of) for name, of in self._alone().items()}
-        most = 0.0 if self.as_is else MOST_MISSING * self.n
-        return {name: of for name, of in ranges.items() if sum(b - a for a, b in of) < most}
-
-    def describe(self, events: Sequence[Event]) -> str:
-        """Events in words, e.g. "0–5 s is 9 times noisier than the rest, a step of 1 deg/s at 9 s"."""
-        by_kind = [(kind, [e for e in events if e.kind == kind]) for kind in _CLAUSES]
-        return ", ".join(self._clause(kind, of) for kind, of in by_kind if of)
-
-    @property
-    def refusal(self) -> Fact | None:
-        """Why there are no coefficients; None if there are."""
-        if self.possible or not self.cut or self.as_is:
-            return None
-        if self.doubt:
-            means = f"no coefficients, as the quiet part may not be the sensor: {self.doubt}"
-            remedy = f"select a part with {self._choice()}"
-        else:
-            a, b = max(self.quiet, key=lambda part: part[1] - part[0])
-            longest = span(a / self.rate, b / self.rate, grid(self.n / self.rate))
-            means = (
-                f"no coefficients, as the undisturbed parts are less than {100.0 * _LEAST_SHARE:.0f} % of "
-                f"the recording (the longest is {longest})"
-            )
-            remedy = _REMEDY
-        names = tuple(axis.name for axis in self.axes)
-        fact = self._fact(self.cut, names, "not a measurement", self.describe(self.cut), means)
-        return dataclasses.replace(fact, remedy=remedy)
-
-    def facts(self, refusal: Fact | None) -> list[Fact]:
-        """Return facts about the events that matter, including why there are no coefficients."""
-        facts, every = [], tuple(axis.name for axis in self.axes)
-        if self.cut and refusal:
-            facts.append(refusal)
-        elif self.cut:
-            step, parts = grid(self.n / self.rate), self.parts
-            used = listed([span(*part, step) for part in parts], len(parts))
-            then = f"coefficients are estimated from {used}" if used else "all samples are used"
-            out = self.n / self.rate - sum(b - a for a, b in parts) if parts else None
-            fact = self._fact(self.cut, every, "none", self.describe(self.cut), then)
-            facts.append(dataclasses.replace(fact, size=out, unit="s"))
-        for name, own in self._alone().items():
-            then, consequence = "all samples are used", "none"
-            if name in self.lost:
-                then, consequence = "these samples are left out and filled in", "widened"
-            elif not self.as_is:
-                then = f"this is more than {100.0 * MOST_MISSING:.0f} % of the axis, too much to be filled in"
-                consequence = "not a measurement"
-            text = f"{name} only: {self.describe(own).replace(f' ({name})', '')}"
-            facts.append(self._fact(own, (name,), consequence, text, then))  # type: ignore[arg-type]
-        return facts
-
-    def _choice(self) -> str:
-        """The options that select the longest quiet part, the longest loud part, or all samples."""
-        loud = [(e.first, e.last) for e in self.cut if e.kind == "noisier"]
-        step, chosen = grid(self.n / self.rate), []
-        for parts in (self.quiet, loud):
-            first, last = max(parts, key=lambda part: part[1] - part[0])
-            start, stop = (seconds(end / self.rate, step) for end in (first, last))
-            chosen.append(f"--start {start} --stop {stop} (start={start}, stop={stop})")
-        return f"{', '.join(chosen)}, or use all samples with --as-is (as_is=True)"
-
-    def _alone(self) -> dict[str, list[Event]]:
-        """Events on a single axis by its name."""
-        names = dict.fromkeys(self.axes[e.axes[0]].name for e in self.alone)
-        return {name: [e for e in self.alone if self.axes[e.axes[0]].name == name] for name in names}
-
-    def _fact(
-        self,
-        events: Sequence[Event],
-        names: tuple[str, ...],
-        consequence: Consequence,
-        finding: str,
-        meaning: str,
-    ) -> Fact:
-        spans = tuple((e.first / self.rate, e.last / self.rate) for e in events)
-        return Fact("disturbances", finding, names, consequence, spans=spans, meaning=meaning)
-
-    def _clause(self, kind: str, events: Sequence[Event]) -> str:
-        """Return a clause about all events of one kind."""
-        step = grid(self.n / self.rate)
-        # Time spans, rounded; outwards if the rounded ends were the same.
-        ends = [(e.first / self.rate / step, e.last / self.rate / step) for e in events]
-        ends = [x if round(x[0]) != round(x[1]) else (np.floor(x[0]), np.ceil(x[1])) for x in ends]
-        middles = [seconds(0.5 * (e.first + e.last) / self.rate, step) for e in events]
-        largest = max(events, key=lambda e: abs(e.size))
-        axis = self.axes[largest.axis]
-        # Two digits, or three where it is near one.
-        ratio = f"{plain(largest.size, 2 if largest.size >= 2.0 else 3)} times"
-        one, several = _CLAUSES[kind]
-        clause = one if len(events) == 1 else several
-        return clause.format(
-            kind=kind,
-            spans=listed([span(step * first, step * last, step) for first, last in ends]),
-            places=listed([f"{middle} s" for middle in middles]),
-            end=seconds(events[-1].last / self.rate, step),
-            ratio="far" if largest.size > _FAR else ratio,
-            size=amount(abs(largest.size), axis),
-            axis=axis.name,
-            count=len(events),
-        )
+    return _What("shift", axis, float(span[axis]))

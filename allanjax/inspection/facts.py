@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Iterable, Sequence
-from typing import Literal
+from typing import Literal, get_args
 
 import numpy as np
 
@@ -13,12 +13,10 @@ from allanjax.base.wording import plain
 from allanjax.record.recording import Axis
 from allanjax.record.units import rate_unit_of
 
-#: What a fact means for the coefficients of its axes.
-Consequence = Literal["none", "widened", "not a measurement"]
+#: What a fact means for the coefficients of its axes, the gravest first.
+Consequence = Literal["not a measurement", "widened", "none"]
 
 NOT_A_MEASUREMENT: Consequence = "not a measurement"
-# The gravest first.
-_ORDER = {"not a measurement": 0, "widened": 1, "none": 2}
 # Why coefficients are not a measurement of the sensor, by kind of fact.
 _WHY = {
     "at rest": "it was not at rest",
@@ -67,12 +65,12 @@ class Fact(ByValue):
     @property
     def advice(self) -> str:
         """Meaning and remedy."""
-        return "; ".join(filter(None, (self.meaning, self.remedy)))
+        return clauses(self.meaning, self.remedy)
 
     @property
     def text(self) -> str:
         """Finding, meaning and remedy."""
-        return "; ".join(filter(None, (self.finding, self.advice)))
+        return clauses(self.finding, self.advice)
 
     @property
     def grave(self) -> bool:
@@ -80,9 +78,19 @@ class Fact(ByValue):
         return self.consequence == NOT_A_MEASUREMENT
 
 
+def clauses(*parts: str) -> str:
+    """Return the parts that are not empty as clauses of one sentence."""
+    return "; ".join(filter(None, parts))
+
+
+def names_of(axes: Iterable[Axis]) -> tuple[str, ...]:
+    """Return the names of axes."""
+    return tuple(axis.name for axis in axes)
+
+
 def ordered(facts: Iterable[Fact]) -> tuple[Fact, ...]:
     """Return the facts, the gravest first."""
-    return tuple(sorted(facts, key=lambda fact: _ORDER[fact.consequence]))
+    return tuple(sorted(facts, key=lambda fact: get_args(Consequence).index(fact.consequence)))
 
 
 def warnings_of(facts: Iterable[Fact]) -> tuple[str, ...]:

@@ -14,33 +14,33 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float
 
-from allanjax.inspection.windows import OfAxes, WhichWindows, Windows, lattice_power, runs
+from allanjax.inspection.windows import WhichWindows, Windows, lattice_power, mean_square, runs
 
-# Length [s] of the stretches that are compared, as a share of the record at most, and their fewest samples.
-_STRETCH, _SHARE, _SAMPLES = 1.0, 1.0 / 240.0, 64
-# Fewest stretches of a level, least share of the record in the longest loud part, and fewest in a row.
-_FEWEST, _LOUD, _ROW = 10, 0.1, 3
+# Length [s] of the stretches that are compared; that as a share of the record at most; fewest samples of one.
+_STRETCH = 1.0
+_SHARE = 1.0 / 240.0
+_SAMPLES = 64
+# Fewest stretches of a level, and in a row; least share of the record in the longest loud part.
+_FEWEST, _ROW = 10, 3
+_LOUD = 0.1
 # Ratio of the deviations of two levels, and their distance in standard deviations of the stretches.
 _APART, _CLEAR = 1.5, 3.0
 # Number of axes and cluster sizes by which the stretches are divided, and the index of these sizes.
-_CLEAREST, _SIZES = 4, (0, 2)
+_CLEAREST, _SIZES = 4, [0, 2]
 # Longest cluster time [s] at which spectra are compared: drift is above it.
 _SHORTEST_DRIFT = 0.2
-# Logarithms of power: a loud part that is quieter by this, ratios that are the same, and spectra that are as
-# even. Errors of the first two are added so many times.
-_QUIETER, _SAME, _EVEN, _ERRORS = 0.1, 0.1, 0.1, (4.0, 3.0)
+# A loud part is quieter if the logarithm of its power is lower by this and so many of its errors.
+_QUIETER, _ERRORS_QUIETER = 0.1, 4.0
+# Ratios are the same if their logarithms differ from the middle by this, or so many errors.
+_SAME, _ERRORS_SAME = 0.1, 3.0
+# Spectra are as even if the standard deviations of their logarithms differ by this.
+_EVEN = 0.1
 # Share of repeated samples of an output that is held, and factor by which the other repeats less often.
 _HELD, _LESS = 0.5, 2.0
 # Share of the axes that must agree.
 _AGREED = 0.75
-_QUIET = ""
-#: Why a quiet part may not be the sensor at rest.
-REASONS = {
-    "held": "its samples repeat or do not change",
-    "other": "the rest is quieter at other frequencies",
-    "gain": "the spectra have one shape, as if a range or unit had changed",
-    "smooth": "its spectrum is less even, as if it were filtered",
-}
+# Why a quiet part may not be the sensor at rest.
+_OTHER = "the rest is quieter at other frequencies"
 
 
 class Levels(NamedTuple):
@@ -63,45 +63,37 @@ def levels_of(windows: Windows, rate: float) -> Levels | None:
     wanted = max(min(_STRETCH, _SHARE * windows.n / rate), _SAMPLES / rate)
     each = max(round(wanted * rate / windows.size), 1)
     count = len(windows) // each
-    sizes = [k for k in range(len(windows.power)) if k == 0 or 2**k / rate <= _SHORTEST_DRIFT]
-    if count < 2 * _FEWEST or len(sizes) <= max(_SIZES):
+    times = 2.0 ** np.arange(len(windows.power)) / rate
+    sizes = times <= max(_SHORTEST_DRIFT, times[0])
+    if count < 2 * _FEWEST or sizes.sum() <= max(_SIZES):
         return None
-    shape = len(windows.power), count, each, -1
-    power = windows.power[:, : count * each].reshape(shape).sum(axis=2)[sizes]
-    pairs = windows.pairs[:, : count * each].reshape(shape[:3]).sum(axis=2)[sizes][..., None]
-    level = np.log(_mean(power, pairs, lattice_power(windows))[list(_SIZES)])
-    repeated = windows.repeated[: count * each].reshape(count, each, -1).mean(axis=1)
+    floor, used = lattice_power(windows) + 1e-300, windows.between(0, count * each)
+    power = used.power[_SIZES].reshape(len(_SIZES), count, each, -1).sum(axis=2)
+    pairs = used.pairs[_SIZES].reshape(len(_SIZES), count, each, 1).sum(axis=2)
+    level = np.log(power / np.maximum(pairs, 1) + floor)
+    repeated = used.repeated.reshape(count, each, -1).mean(axis=1)
     # A constant axis says nothing about the others; if nearly all are constant, the output is.
     alone = (repeated == 1.0) & ((repeated == 1.0).mean(axis=1) < _AGREED)[:, None]
     loud = _louder(np.where(alone, np.median(level, axis=1)[:, None], level))
     if loud is None:
         return None
-    means, errors = [], []
-    for part in (~loud, loud):
-        total = pairs[:, part].sum(axis=1)
-        means.append(np.log(_mean(power[:, part].sum(axis=1), total, lattice_power(windows))))
-        errors.append(2.0 / total)
-    quiet, louder = means
-    ratio, error = louder - quiet, np.sqrt(errors[0] + errors[1])
-    differ = np.flatnonzero(ratio.max(axis=0) > 2.0 * np.log(_APART))
-    kinds = Counter(
-        _kind(quiet[:, k], louder[:, k], error[:, 0], repeated[~loud, k].mean(), repeated[loud, k].mean())
-        for k in differ.tolist()
-    )
-    if not kinds:
+    rows = np.repeat(loud, each)
+    quiet, louder = (np.log(mean_square(used, of)[sizes] + floor) for of in (~rows, rows))
+    error = np.sqrt(sum(2.0 / used.pairs[sizes][:, of].sum(axis=1) for of in (~rows, rows)))
+    largest = (louder - quiet).max(axis=0)
+    differ = np.flatnonzero(largest > 2.0 * np.log(_APART)).tolist()
+    if not differ:
         return None
-    kind, votes = kinds.most_common(1)[0]
-    doubt = "" if kind == _QUIET and votes >= _AGREED * len(differ) else REASONS.get(kind, REASONS["other"])
-    whole = np.append(np.repeat(loud, each), np.full(len(windows) - count * each, loud[-1]))
-    axis = int(np.argmax(ratio.max(axis=0)))
-    return Levels(whole, float(np.exp(0.5 * ratio[:, axis].max())), axis, doubt)
-
-
-def _mean(
-    power: Float[np.ndarray, ...], pairs: Float[np.ndarray, ...], floor: OfAxes
-) -> Float[np.ndarray, ...]:
-    """Mean square differences, with what rounding may cause."""
-    return power / np.maximum(pairs, 1) + floor + 1e-300
+    doubts: Counter[str] = Counter()
+    for k in differ:
+        again, rest = float(repeated[~loud, k].mean()), float(repeated[loud, k].mean())
+        doubts[_doubt(quiet[:, k], louder[:, k], error, again, rest)] += 1
+    doubt, votes = doubts.most_common(1)[0]
+    if not doubt and votes < _AGREED * len(differ):
+        doubt = _OTHER
+    axis = int(np.argmax(largest))
+    every = np.pad(rows, (0, len(windows) - len(rows)), "edge")
+    return Levels(every, float(np.exp(0.5 * largest[axis])), axis, doubt)
 
 
 def _louder(log: Float[np.ndarray, "sizes stretches axes"]) -> Bool[np.ndarray, " stretches"] | None:
@@ -133,25 +125,26 @@ def _divided(x: Float[np.ndarray, " stretches"]) -> tuple[float, float]:
     return float(0.5 * (ordered[best] + ordered[best + 1])), float(high[best] - low[best])
 
 
-def _kind(
+def _doubt(
     quiet: Float[np.ndarray, " sizes"],
     loud: Float[np.ndarray, " sizes"],
     error: Float[np.ndarray, " sizes"],
     repeated: float,
     rest: float,
 ) -> str:
-    """What the quiet part of an axis is: the sensor, or why that is unclear.
+    """Why the quiet part of an axis may not be the sensor at rest; "" if it is.
 
     The logarithms of both levels are of mean square differences at cluster sizes 1, 2, 4, …; `repeated` and
     `rest` are the shares of repeated samples in the quiet part and in the rest.
     """
     ratio, white = loud - quiet, np.log(2.0) * np.arange(len(quiet))
     if repeated > _HELD and repeated > _LESS * rest:
-        return "held"
-    if (ratio < -_QUIETER - _ERRORS[0] * error).any():
-        return "other"
-    if np.ptp(ratio) < max(2.0 * _SAME, 2.0 * _ERRORS[1] * error.max()):
-        return "gain"
+        return "its samples repeat or do not change"
+    if (ratio < -_QUIETER - _ERRORS_QUIETER * error).any():
+        return _OTHER
+    if np.ptp(ratio) < 2.0 * max(_SAME, _ERRORS_SAME * error.max()):
+        return "the spectra have one shape, as if a range or unit had changed"
     # Means of white noise over twice as many samples have half the power.
-    uneven = [np.std(level + white) for level in (quiet, loud)]
-    return _QUIET if uneven[0] < uneven[1] - _EVEN else "smooth"
+    if np.std(quiet + white) < np.std(loud + white) - _EVEN:
+        return ""
+    return "its spectrum is less even, as if it were filtered"

@@ -4,14 +4,15 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Iterator, Mapping, Sequence
+from itertools import compress
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from allanjax.base.wording import duration, plain
-from allanjax.inspection.facts import Consequence, Fact, amount
-from allanjax.inspection.windows import OfAxes, Samples, Values, Windows, rms_within
-from allanjax.record.completion import widening
+from allanjax.inspection.facts import NOT_A_MEASUREMENT, Fact, amount, names_of
+from allanjax.inspection.windows import OfAxes, Sampled, Samples, Values, Windows, mean_square, rms_within
+from allanjax.record.completion import Gap, widening
 from allanjax.record.io.grid import format_jitter
 from allanjax.record.recording import Axis, DeadAxis, Recording
 
@@ -38,8 +39,6 @@ _FEW = 20000
 _LEAST, _MANY = 4, 100
 # Fewest steps between the extremes of a rounded output for its distribution to have a tail.
 _FEW_LEVELS = 4
-# Samples from which the step is determined.
-_LOOKED_AT = 1 << 14
 # Octaves of samples, from one on, in which their noise is compared with the steps.
 _OCTAVES = 6
 # Share of equal neighbours, beyond those due to rounding, that shows that samples are repeated.
@@ -54,13 +53,13 @@ _PARTS, _FEWEST = 64, 12
 _CHANCE = 0.01
 
 
-def rate_facts(axes: Sequence[Axis], rate: float, auxiliary: Mapping[str, Samples]) -> list[Fact]:
-    """Return a fact about a rate [Hz] that no sensor has, or that an unused column of times contradicts."""
-    finding, remedy = f"the rate is {rate:g} Hz, which no inertial sensor has", _WRONG_TIMES
-    if rate <= _HIGHEST_RATE:
-        finding, remedy = _contradiction(rate, auxiliary)
-    names = tuple(axis.name for axis in axes)
-    return [Fact("rate", finding, names, "not a measurement", remedy=remedy)] if finding else []
+def rate_facts(sampled: Sampled, auxiliary: Mapping[str, Samples]) -> list[Fact]:
+    """Return a fact about a rate that no sensor has, or that an unused column of times contradicts."""
+    finding, remedy = f"the rate is {sampled.rate:g} Hz, which no inertial sensor has", _WRONG_TIMES
+    if sampled.rate <= _HIGHEST_RATE:
+        finding, remedy = _contradiction(sampled.rate, auxiliary)
+    names = names_of(sampled.axes)
+    return [Fact("rate", finding, names, NOT_A_MEASUREMENT, remedy=remedy)] if finding else []
 
 
 def _contradiction(rate: float, auxiliary: Mapping[str, Samples]) -> tuple[str, str]:
@@ -83,19 +82,16 @@ def _contradiction(rate: float, auxiliary: Mapping[str, Samples]) -> tuple[str, 
     return "", ""
 
 
-def short(n: int, rate: float, axes: Sequence[Axis]) -> list[Fact]:
-    """Return a fact about a recording of n samples at this rate [Hz] if it is short."""
-    length = n / rate
-    if n >= _FEW_SAMPLES and length >= SHORT:
-        return []
-    finding, meaning, remedy = f"{n:,} samples last {length:.3g} s only", "", _WRONG_TIMES
-    if length >= _HARDLY:
-        finding = f"{length:.3g} s is too short for B and K, which show over tens of seconds or more"
-        remedy = ""
-        if n < _FEW_SAMPLES:
-            meaning = f"with {n} samples, N is known to ±{100.0 / np.sqrt(n):.0f} % at best"
-    names = tuple(axis.name for axis in axes)
-    return [Fact("length", finding, names, size=length, unit="s", meaning=meaning, remedy=remedy)]
+def short(n: int, sampled: Sampled) -> Iterator[Fact]:
+    """Yield a fact about n samples if they are few or last a short time."""
+    length, names = n / sampled.rate, names_of(sampled.axes)
+    if length < _HARDLY:
+        text = f"{n:,} samples last {length:.3g} s only"
+        yield Fact("length", text, names, size=length, unit="s", remedy=_WRONG_TIMES)
+    elif length < SHORT or n < _FEW_SAMPLES:
+        text = f"{length:.3g} s is too short for B and K, which show over tens of seconds or more"
+        few = f"with {n} samples, N is known to ±{100.0 / np.sqrt(n):.0f} % at best"
+        yield Fact("length", text, names, size=length, unit="s", meaning=few * (n < _FEW_SAMPLES))
 
 
 def lattice(x: Samples) -> float | None:
@@ -118,118 +114,108 @@ def lattice(x: Samples) -> float | None:
 class Ends:
     """How often samples are at the ends of their range, in constant memory for any number of samples.
 
-    Each array has two rows: the upper end, and the lower end with changed signs.
+    The sides are the upper end, and the lower end with changed signs.
 
     Attributes:
         n: number of samples.
-        value, count, runs: the largest value, the number of samples with it, and the number of their runs.
-        below, count_below: the second largest value, and the number of samples with it.
+        value, count: the largest and second largest value, and the number of samples with each.
+        runs: the number of runs of samples with the largest value.
     """
 
     n: int
-    value: Float[np.ndarray, "2 axes"]
-    count: Int[np.ndarray, "2 axes"]
-    runs: Int[np.ndarray, "2 axes"]
-    below: Float[np.ndarray, "2 axes"]
-    count_below: Int[np.ndarray, "2 axes"]
+    value: Float[np.ndarray, "2 sides axes"]
+    count: Int[np.ndarray, "2 sides axes"]
+    runs: Int[np.ndarray, "sides axes"]
 
     @classmethod
     def of(cls, values: Values) -> Ends:
         """Return the ends of the range of these samples."""
         sides = np.stack([values, -values])
-        value = sides.max(axis=1, initial=-np.inf)
-        at = sides == value[:, None]
+        value, where = _two_largest(sides, 1)
+        at = where[0]
         runs = at[:, :1].sum(axis=1) + (at[:, 1:] & ~at[:, :-1]).sum(axis=1)
-        others = np.where(at, -np.inf, sides)
-        below = others.max(axis=1, initial=-np.inf)
-        count_below = (others == below[:, None]).sum(axis=1)
-        return cls(len(values), value, at.sum(axis=1), runs, below, count_below)
+        return cls(len(values), value, np.stack([each.sum(axis=1) for each in where]), runs)
 
     def merge(self, right: Ends) -> Ends:
         """Return the ends of the range of two pieces together."""
-        value = np.maximum(self.value, right.value)
-        both = [(x, x.value == value) for x in (self, right)]
-        count, runs = (
-            np.sum([np.where(at, getattr(x, name), 0) for x, at in both], axis=0)
-            for name in ("count", "runs")
-        )
-        others = [(np.where(at, x.below, x.value), np.where(at, x.count_below, x.count)) for x, at in both]
-        below = np.maximum(others[0][0], others[1][0])
-        count_below = np.sum([np.where(level == below, counted, 0) for level, counted in others], axis=0)
-        return Ends(self.n + right.n, value, count, runs, below, count_below)
+        value, where = _two_largest(np.concatenate([self.value, right.value]), 0)
+        counts = np.concatenate([self.count, right.count])
+        count = np.stack([(counts * each).sum(axis=0) for each in where])
+        runs = sum(x.runs * (x.value[0] == value[0]) for x in (self, right))
+        return Ends(self.n + right.n, value, count, runs)
 
     def of_axes(self, keep: Bool[np.ndarray, " axes"]) -> Ends:
         """Return the ends for some of the axes."""
-        names = [field.name for field in dataclasses.fields(self) if field.name != "n"]
-        return dataclasses.replace(self, **{name: getattr(self, name)[:, keep] for name in names})
+        return Ends(self.n, self.value[..., keep], self.count[..., keep], self.runs[:, keep])
 
-    def piled_up(self, steps: OfAxes) -> Bool[np.ndarray, "2 axes"]:
+    def piled_up(self, steps: OfAxes) -> Bool[np.ndarray, "sides axes"]:
         """Whether more samples are at an end than a tail explains, given each axis's step (0 for none)."""
+        (value, below), (count, count_below) = self.value, self.count
         # Copies of a single extreme sample do not count.
-        often = (self.runs >= _LEAST) | (self.count >= _MANY)
-        adjacent = abs(self.value - steps - self.below) < steps / 2.0
-        tail = np.where(adjacent, self.count_below, 0)
-        beyond = (self.count > tail + 6.0 * np.sqrt(tail + 1.0)) & (self.count >= 5 * _LEAST)
-        has_tail = self.value.sum(axis=0) >= _FEW_LEVELS * steps
+        often = (self.runs >= _LEAST) | (count >= _MANY)
+        tail = np.where(abs(value - steps - below) < steps / 2.0, count_below, 0)
+        beyond = (count > tail + 6.0 * np.sqrt(tail + 1.0)) & (count >= 5 * _LEAST)
+        has_tail = value.sum(axis=0) >= _FEW_LEVELS * steps
         return np.where(steps > 0.0, beyond & has_tail, often)
 
 
-def resolved(
-    windows: Windows, axes: Sequence[Axis], columns: Sequence[Float[np.ndarray, " recorded"]] | None
-) -> tuple[list[Fact], OfAxes]:
-    """Return facts about axes with coarsely rounded or repeated samples, and the step of each axis.
+def _two_largest(x: np.ndarray, axis: int) -> tuple[np.ndarray, tuple[np.ndarray, np.ndarray]]:
+    """Return the largest and second largest values along an axis, and where they are."""
+    largest = x.max(axis=axis, keepdims=True, initial=-np.inf)
+    at = x == largest
+    others = np.where(at, -np.inf, x)
+    second = others.max(axis=axis, keepdims=True, initial=-np.inf)
+    return np.stack([largest, second]).squeeze(axis + 1), (at, others == second)
 
-    `columns` are the samples of each axis, if they are in memory. The step [rad/s or m/s²] is 0 if none is
-    detected.
-    """
-    repeated = np.average(windows.repeated, axis=0, weights=windows.count)
-    rms = np.sqrt(windows.power[0].sum(axis=0) / max(windows.pairs[0].sum(), 1) / 2.0)
-    if columns is None:
-        steps = np.where(np.isfinite(windows.resolution), windows.resolution, 0.0)
-    else:
-        steps = np.array([lattice(x[:_LOOKED_AT]) or 0.0 for x in columns])
+
+def resolved(windows: Windows, axes: Sequence[Axis], steps: OfAxes) -> Iterator[Fact]:
+    """Yield facts about axes with coarsely rounded or repeated samples; the step of others is 0."""
+    repeated = windows.averaged(windows.repeated)
+    rms = np.sqrt(mean_square(windows)[0] / 2.0)
     # Behind a filter neighbours differ little, but the samples still pass through many steps.
-    noise, apart = (x / np.where(steps > 0.0, steps, 1.0) for x in (rms_within(windows, _OCTAVES), rms))
+    within = rms_within(windows, _OCTAVES)
+    noise = np.divide(within, steps, out=np.full(len(steps), np.inf), where=steps > 0.0)
     # Share of equal neighbours in rounded Gaussian noise.
-    chance = np.where(apart > 0.0, 0.5 / np.sqrt(np.pi) / np.maximum(apart, 1e-12), 0.0) * (steps > 0.0)
-    facts = []
+    chance = 0.5 / np.sqrt(np.pi) * np.divide(steps, rms, out=np.zeros(len(steps)), where=rms > 0.0)
     for k, axis in enumerate(axes):
         name, size = (axis.name,), float(noise[k])
         few = f"the noise of {axis.name} is {plain(size, 2)} steps of {amount(steps[k], axis, 3)}"
-        if steps[k] > 0.0 and noise[k] < _TOO_FEW:
-            fact = Fact("resolution", few, name, "not a measurement", size, "steps")
-            means, remedy = "the coefficients describe the rounding", "record with a finer resolution"
-            facts.append(dataclasses.replace(fact, meaning=means, remedy=remedy))
+        if size < _TOO_FEW:
+            means, cure = "the coefficients describe the rounding", "record with a finer resolution"
+            yield Fact("resolution", few, name, NOT_A_MEASUREMENT, size, "steps", meaning=means, remedy=cure)
         elif repeated[k] > _HELD + 2.0 * chance[k]:
             text = f"{axis.name}: {100.0 * repeated[k]:.0f} % of the samples repeat the one before"
-            fact = Fact("repeated samples", text, name, "none", float(repeated[k]), "1")
             means = (
                 "the sensor updates more slowly than the file's rate, and content above its own rate is an "
                 "artefact"
             )
-            facts.append(dataclasses.replace(fact, meaning=means))
-        elif steps[k] > 0.0 and noise[k] < _FEW_STEPS:
+            yield Fact("repeated samples", text, name, size=float(repeated[k]), unit="1", meaning=means)
+        elif size < _FEW_STEPS:
             means = "part of the noise is rounding, and the intervals of N are widened accordingly"
-            facts.append(Fact("resolution", few, name, "widened", size, "steps", meaning=means))
-    return facts, steps
+            yield Fact("resolution", few, name, "widened", size, "steps", meaning=means)
 
 
-def saturated(axes: Sequence[Axis], ends: Ends, steps: OfAxes) -> list[Fact]:
-    """Return facts about axes with more samples at their largest or smallest value than a tail explains."""
-    facts = []
-    for side, k in np.argwhere(ends.piled_up(steps) & (ends.count >= _LEAST)):
-        axis, share = axes[k], 100.0 * float(ends.count[side, k]) / ends.n
-        level = amount((1.0, -1.0)[side] * ends.value[side, k], axis, 4)
-        text = f"{axis.name} is at {level} in {plain(share, 2)} % of the samples"
-        fact = Fact("saturation", text, (axis.name,), "not a measurement", share, "%")
-        means, remedy = "its range ends there", "use a wider range, or remove the offset"
-        facts.append(dataclasses.replace(fact, meaning=means, remedy=remedy))
-    return facts
+def saturated(axes: Sequence[Axis], ends: Ends, steps: OfAxes) -> Iterator[Fact]:
+    """Yield facts about axes with more samples at their largest or smallest value than a tail explains."""
+    for side, k in np.argwhere(ends.piled_up(steps)):
+        axis, share = axes[k], 100.0 * float(ends.count[0, side, k]) / ends.n
+        level = amount((1.0, -1.0)[side] * ends.value[0, side, k], axis, 4)
+        yield Fact(
+            "saturation",
+            f"{axis.name} is at {level} in {plain(share, 2)} % of the samples",
+            (axis.name,),
+            NOT_A_MEASUREMENT,
+            size=share,
+            unit="%",
+            meaning="its range ends there",
+            remedy="use a wider range, or remove the offset",
+        )
 
 
 def sampling_facts(recording: Recording) -> Iterator[Fact]:
     """Yield facts about times, missing samples and dead axes."""
-    if (jitter := recording.jitter) is not None and jitter * recording.rate > _JITTER:
+    jitter = recording.jitter or 0.0
+    if jitter * recording.rate > _JITTER:
         yield Fact(
             "jitter",
             describe_jitter(recording),
@@ -239,30 +225,32 @@ def sampling_facts(recording: Recording) -> Iterator[Fact]:
             meaning="samples are treated as evenly spaced",
             remedy="if the jitter is real, use the sensor's own time stamps",
         )
-    if gaps := recording.gaps:
-        rate, lost, longest = recording.rate, sum(g.samples for g in gaps), max(g.samples for g in gaps)
-        count = f"{len(gaps)} gaps of at most" if len(gaps) > 1 else "a gap of"
-        text = f"{lost:,} samples are missing in {count} {duration(longest / rate)}"
-        spans = tuple((gap.first / rate, (gap.first + gap.samples) / rate) for gap in gaps)
-        means: Consequence = "none" if recording.missing is None else "widened"
-        names = recording.names
-        if recording.missing is None:
-            then = f"{1 + len(recording.others)} segments without gaps are used"
-        else:
-            wider = 100.0 * (float(widening(recording.missing).max()) - 1.0)
-            then = f"they are filled in, which widens the intervals by {plain(wider, 2)} %"
-            drawn = zip(names, recording.missing.T, strict=True)
-            names = tuple(name for name, x in drawn if x.any())
-        yield Fact("gaps", text, names, means, lost / rate, "s", spans, meaning=then)
+    if recording.gaps:
+        yield _gaps(recording, recording.gaps)
     yield from dead_facts(recording.dead)
+
+
+def _gaps(recording: Recording, gaps: Sequence[Gap]) -> Fact:
+    """Return the fact about missing samples."""
+    rate, lost = recording.rate, sum(gap.samples for gap in gaps)
+    count = f"{len(gaps)} gaps of at most" if len(gaps) > 1 else "a gap of"
+    longest = duration(max(gap.samples for gap in gaps) / rate)
+    text = f"{lost:,} samples are missing in {count} {longest}"
+    spans = tuple((gap.first / rate, (gap.first + gap.samples) / rate) for gap in gaps)
+    if recording.missing is None:
+        then = f"{1 + len(recording.others)} segments without gaps are used"
+        return Fact("gaps", text, recording.names, "none", lost / rate, "s", spans, meaning=then)
+    wider = 100.0 * (float(widening(recording.missing).max()) - 1.0)
+    then = f"they are filled in, which widens the intervals by {plain(wider, 2)} %"
+    names = tuple(compress(recording.names, np.any(recording.missing, axis=0).tolist()))
+    return Fact("gaps", text, names, "widened", lost / rate, "s", spans, meaning=then)
 
 
 def dead_facts(dead: Sequence[DeadAxis]) -> Iterator[Fact]:
     """Yield facts about axes that do not change or have no samples."""
-    for d in dead:
-        means = "the sensor seems stuck or disconnected"
-        finding = f"{d.axis.name}: {d.reason}"
-        yield Fact("dead axes", finding, (d.axis.name,), "not a measurement", meaning=means)
+    means = "the sensor seems stuck or disconnected"
+    for axis, reason in ((d.axis.name, d.reason) for d in dead):
+        yield Fact("dead axes", f"{axis}: {reason}", (axis,), NOT_A_MEASUREMENT, meaning=means)
 
 
 def describe_jitter(recording: Recording) -> str:

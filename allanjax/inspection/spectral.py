@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Iterator, Sequence
+from itertools import compress
 from typing import NamedTuple, TypeAlias
 
 import numpy as np
@@ -12,26 +13,35 @@ from scipy.fft import irfft, rfft
 from allanjax.base.chi_squared import quantile
 from allanjax.base.threads import for_each
 from allanjax.base.wording import plain
-from allanjax.inspection.facts import Fact, listed
+from allanjax.inspection.facts import Fact, listed, names_of
 from allanjax.inspection.plausible import lattice
 from allanjax.inspection.windows import Samples, Values, runs
 from allanjax.record.recording import Axis
 
-# Samples of the longest segment, fewest segments, and fewest samples of a segment that shows lines.
-_SEGMENT, _FEWEST, _SHORTEST = 4096, 8, 64
+# Samples of the longest segment, and fewest of one that shows lines; fewest segments.
+_SEGMENT, _SHORTEST = 4096, 64
+_FEWEST = 8
 # Bins on either side with which a line is compared, beyond the first number up to the second; false alarms.
-_NEAR, _FAR, _CHANCE = 6, 24, 1e-6
+_NEAR, _FAR = 6, 24
+_CHANCE = 1e-6
 # Lowest bins: those with drift, and those too close to zero to be compared on both sides.
 _DRIFT, _LOWEST = 3, 12
 # Least share of the power for a line to be reported.
 _SLIGHT = 1e-3
 # Bands per octave for the bandwidth; limits of its passband as shares of the frequency; flatness of that.
-_BANDS, _PASSBAND, _FLAT = 4, (1 / 16, 1 / 4), 2.0
-# Interpolated samples: how many are examined; how far their line must exceed its surroundings; the share of
-# second differences that are zero if the rate is more than twice their own, and if it is twice; what counts
-# as zero; and the largest squares, in medians, so that single outliers do not matter.
-_LOOKED_AT, _CLEAR, _STRAIGHT, _TWICE, _ZERO, _TAIL = 1 << 16, 60.0, 0.05, 0.3, 0.02, 20.0
-
+_BANDS = 4
+_PASSBAND = 1 / 16, 1 / 4
+_FLAT = 2.0
+# Samples that are examined for interpolation.
+_LOOKED_AT = 1 << 16
+# How far the line of interpolated samples must exceed its surroundings.
+_CLEAR = 60.0
+# Share of second differences that are zero if the rate is more than twice that of the sensor; if it is twice.
+_STRAIGHT, _TWICE = 0.05, 0.3
+# Size of a second difference that counts as zero, in rms of the first differences.
+_ZERO = 0.02
+# Largest squares, in medians, so that single outliers do not matter.
+_TAIL = 20.0
 
 _Levels: TypeAlias = Float[np.ndarray, " m"]
 
@@ -51,10 +61,7 @@ class Spectrum(NamedTuple):
 
 
 def spectral_facts(
-    values: Values,
-    rate: float,
-    axes: Sequence[Axis],
-    held: Collection[str],
+    values: Values, rate: float, axes: Sequence[Axis], held: Collection[str]
 ) -> Iterator[Fact]:
     """Yield facts about lines and interpolated samples; `held` are names of axes with repeated samples."""
     for sensor in dict.fromkeys(axis.sensor for axis in axes):
@@ -62,12 +69,12 @@ def spectral_facts(
         native = interpolated_from(values, rate, own)
         if native is not None:
             text = f"the {sensor} samples are interpolated from about {plain(native, 4)} Hz to {rate:g} Hz"
-            names = tuple(axis.name for axis, of in zip(axes, own, strict=True) if of)
+            names = names_of(compress(axes, own))
             remedy = "read the sensor's own samples at its own rate"
             yield Fact("interpolation", text, names, "not a measurement", native, "Hz", remedy=remedy)
-    if (spectrum := spectrum_of(values, rate)) is None:
-        return
-    yield from _lines(spectrum, axes)
+    spectrum = spectrum_of(values, rate)
+    if spectrum is not None:
+        yield from _lines(spectrum, axes)
 
 
 def spectrum_of(values: Values, rate: float) -> Spectrum | None:
@@ -97,17 +104,17 @@ def _lines(spectrum: Spectrum, axes: Sequence[Axis]) -> Iterator[Fact]:
         above = level > 1.2 * float(quantile(1.0 - _CHANCE / len(level), many)) / many * around
         above[:_LOWEST] = False
         excess = np.where(above, level - around, 0.0)
-        # Share of the power of the axis without drift, and centre frequency.
-        lines = [
-            (power / level[_DRIFT:].sum(), float(spectrum.frequency[a:b] @ excess[a:b] / power))
-            for a, b in runs(above, 1)
-            if (power := excess[a:b].sum()) > _SLIGHT * level[_DRIFT:].sum()
-        ]
+        whole, lines = level[_DRIFT:].sum(), []
+        for a, b in runs(above, 1):
+            power = excess[a:b].sum()
+            if power > _SLIGHT * whole:
+                centre = spectrum.frequency[a:b] @ excess[a:b] / power
+                lines.append((float(power / whole), float(centre)))
         if lines:
             lines.sort(key=lambda line: -line[0])
             places = [f"{plain(at, 4)} Hz ({plain(100.0 * share, 2)} % of the power)" for share, at in lines]
             text = f"spectral line{'s' * (len(lines) > 1)} on {axis.name} at {listed(places)}"
-            total = float(sum(share for share, _ in lines))
+            total = sum(share for share, _ in lines)
             yield Fact("lines", text, (axis.name,), size=lines[0][1], unit="Hz", share=total)
 
 

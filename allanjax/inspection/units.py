@@ -9,7 +9,8 @@ from __future__ import annotations
 
 import dataclasses
 import itertools
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Sequence
+from functools import cached_property
 from typing import NamedTuple, TypeAlias
 
 import numpy as np
@@ -17,8 +18,8 @@ from jaxtyping import Float
 
 from allanjax.base.earth import EARTH_RATE, STANDARD_GRAVITY
 from allanjax.base.wording import plain
-from allanjax.inspection.facts import NOT_A_MEASUREMENT, Consequence, Fact
-from allanjax.inspection.windows import DEG, OfAxes
+from allanjax.inspection.facts import NOT_A_MEASUREMENT, Consequence, Fact, names_of
+from allanjax.inspection.windows import DEG, OfAxes, Sampled, Windows, mean_squares
 from allanjax.record.recording import Axis, scales_of
 from allanjax.record.units import COUNT_SIZES, SAMPLE_UNITS, SENSORS, Sensor, parse_sample_unit, unit_scale
 
@@ -31,9 +32,9 @@ class _Law(NamedTuple):
     shoulder: float
     weight: float = 1.0
 
-    def log_density(self, value: np.ndarray) -> np.ndarray:
+    def log_density(self, value: np.ndarray | float) -> np.ndarray:
         """Logarithm of the density times the weight."""
-        x, low, high = np.log(value), np.log(self.low), np.log(self.high)
+        x, (low, high) = np.log(value), np.log([self.low, self.high])
         off = (x - np.clip(x, low, high)) / self.shoulder
         return np.log(self.weight / (high - low + np.sqrt(2.0 * np.pi) * self.shoulder)) - 0.5 * off**2
 
@@ -59,52 +60,100 @@ _PAIRS = {
 }
 # Share of each unit that is not among them.
 _SELDOM = 0.002
-# Probabilities, all judgements: that both labels are those of a template which the data do not follow; of
-# that, if the user gave another unit than the label of one sensor; that a single label is wrong; that a unit
-# is wrong which the user gave.
-_TEMPLATE, _ONE_WAS_WRONG, _LABEL, _GIVEN = 0.01, 0.5, 0.005, 0.003
+# Probability, a judgement, that both labels are those of a template which the data do not follow; the same if
+# the user gave another unit than the label of one sensor.
+_TEMPLATE, _ONE_WAS_WRONG = 0.01, 0.5
+# Probability, a judgement, that a single label is wrong, and that a unit is wrong which the user gave.
+_LABEL, _GIVEN = 0.005, 0.003
 # Least probability of a unit that is not in doubt.
 _TRUSTED = 0.8
 # Factors by which a rate that belongs to increments may be wrong.
 _RATES = (10.0, 0.1, 100.0, 0.01)
 
-# What is less, as the mean of a simulation, is zero.
+# Smaller sizes, such as the mean of a simulation, count as this one.
 _ZERO = 1e-12
-# White noise in deg/√h and m/s/√h.
-_ROOT_HOUR: dict[Sensor, float] = {"gyro": DEG / 60.0, "accel": 1.0 / 60.0}
-# Its range in sensors, from the best of navigation grade to consumer sensors of 1 mg/√Hz.
-_NOISE: dict[Sensor, _Laws] = {"gyro": (_Law(2e-4, 4.0, 0.5),), "accel": (_Law(1e-3, 0.6, 0.5),)}
-# Ratio of the two, of tested units from 0.17 (fibre-optic gyros beside MEMS accelerometers) to 30, of
-# which a defective gyro may have four times more; and the noise of accelerometers [m/s/√h] below which they
-# are not MEMS, and may be beside better gyros.
-_RATIO, _MEMS = _Law(0.13, 120.0, 0.1), 0.03
-# Size of the mean of gyros at rest [deg/s]: biases, or the earth's rate.
+# Noise of gyros divided by that of accelerometers: units that were tested had 0.17 (fibre-optic gyros beside
+# MEMS accelerometers) to 30, and a defective gyro may have four times as much.
+_RATIO = _Law(0.13, 120.0, 0.1)
+# Accelerometers with less noise are not MEMS, and may be beside better gyros.
+_MEMS = 0.03
+# Size of the mean of gyros [deg/s]: biases, or the earth's rate; of gyros that turn, up to their range.
 _BIAS = (_Law(_ZERO, 9.5, 0.17, 0.95), _Law(0.98 * EARTH_RATE / DEG, 1.02 * EARTH_RATE / DEG, 0.01, 0.05))
-# That of gyros that turn, as a range of sensors allows.
 _TURNING = (_Law(_ZERO, 4000.0, 0.5),)
-# That of three accelerometers in g: gravity within 5 %, as of consumer sensors, or badly calibrated; removed,
-# or not simulated. That of fewer axes is any part of it, and that of accelerometers in motion may be more.
+# Size of the mean of accelerometers [g]. Three of them measure gravity within 5 %, as consumer sensors do, or
+# are badly calibrated, or gravity was removed or not simulated.
 _GRAVITY = _Law(0.95, 1.05, 0.01, 0.9)
 _TRIAD = (_GRAVITY, _Law(0.8, 1.2, 1e-3, 0.05), _Law(_ZERO, 0.1, 0.02, 0.05))
+# Fewer than three measure gravity or any part of it; in motion, there may be more.
 _FEWER = (_Law(0.98, 1.02, 0.01, 0.3), _Law(_ZERO, 1.02, 0.05, 0.7))
 _MOVING = (_GRAVITY, _Law(_ZERO, 30.0, 0.5, 0.1))
 # Noise per sample and mean in counts: less than one to hundreds, and up to 24 bits.
 _NOISE_COUNTS, _MEAN_COUNTS = (_Law(0.3, 300.0, 0.7),), (_Law(_ZERO, 2.0**24, 0.5),)
 # A quantity in a unit that is not known.
 _ANYWHERE = (_Law(_ZERO, 1e12, 1.0),)
-# Steps of the output [deg/s and g]: of few bits 0.07 deg/s and 31 mg.
-_STEP: dict[Sensor, _Laws] = {"gyro": (_Law(_ZERO, 0.1, 0.3),), "accel": (_Law(_ZERO, 0.04, 0.3),)}
-# Steps of common sensors, in the same units and times any power of two: 1/131 deg/s, 4.375 mdeg/s and
-# 250 deg/s in 2¹⁵; 1/16384 g and 0.061 mg. The relative precision of steps; the share of such sensors.
-_KNOWN: dict[Sensor, tuple[float, ...]] = {
-    "gyro": (1.0 / 131.0, 4.375e-3, 250.0 / 2**15),
-    "accel": (1.0, 0.061e-3),
-}
+# Relative precision of steps, and share of sensors that have one of the common steps.
 _PRECISION, _COMMON = 1e-3, 0.1
 # Noise is white if its Allan deviation times root of cluster time varies by less than this factor.
 _FLAT = 6.0
 
-_SENSORS: dict[Sensor, str] = {"gyro": "gyros", "accel": "accelerometers"}
+
+class _Kind(NamedTuple):
+    """What gyros, or accelerometers, are like.
+
+    Attributes:
+        plural: what they are called.
+        usual: usual unit of samples, deg/s or g, in SI.
+        root_hour, unit: usual unit of white noise, deg/√h or m/s/√h, in SI and in words.
+        noise: law of the white noise in that unit.
+        step: law of the step of the output in deg/s or g.
+        common: steps of common sensors, which may be times any power of two.
+    """
+
+    plural: str
+    usual: float
+    root_hour: float
+    unit: str
+    noise: _Laws
+    step: _Laws
+    common: tuple[float, ...]
+
+
+# Noise is from the best of navigation grade to consumer sensors of 1 mg/√Hz; steps of few bits are 0.07 deg/s
+# and 31 mg. Common steps are 1/131 deg/s, 4.375 mdeg/s and 250 deg/s in 2¹⁵, and 1/16384 g and 0.061 mg.
+_KINDS = {
+    "gyro": _Kind(
+        plural="gyros",
+        usual=DEG,
+        root_hour=DEG / 60.0,
+        unit="deg/√h",
+        noise=(_Law(2e-4, 4.0, 0.5),),
+        step=(_Law(_ZERO, 0.1, 0.3),),
+        common=(1.0 / 131.0, 4.375e-3, 250.0 / 2**15),
+    ),
+    "accel": _Kind(
+        plural="accelerometers",
+        usual=STANDARD_GRAVITY,
+        root_hour=1.0 / 60.0,
+        unit="m/s/√h",
+        noise=(_Law(1e-3, 0.6, 0.5),),
+        step=(_Law(_ZERO, 0.04, 0.3),),
+        common=(1.0, 0.061e-3),
+    ),
+}
+
+
+class _Units(NamedTuple):
+    """Units that samples may be in, that of the label first.
+
+    Attributes:
+        names: the units; "--rate 10" for increments at that rate.
+        factors: factor of samples in each unit to samples as read; nan if it is unknown.
+        usual: how often programs write each.
+    """
+
+    names: tuple[str, ...]
+    factors: _OfUnits
+    usual: _OfUnits
 
 
 @dataclasses.dataclass(frozen=True)
@@ -122,7 +171,7 @@ class _Shown:
             user gave none.
     """
 
-    axes: tuple[Axis, ...]
+    axes: Sequence[Axis]
     rate: float
     noise: float
     mean: float | None = None
@@ -136,6 +185,11 @@ class _Shown:
         return self.axes[0].sensor
 
     @property
+    def kind(self) -> _Kind:
+        """What sensors of this kind are like."""
+        return _KINDS[self.sensor]
+
+    @property
     def unit(self) -> str:
         """Unit of the samples as read."""
         return parse_sample_unit(self.axes[0].unit, self.sensor).name
@@ -145,58 +199,66 @@ class _Shown:
         """Factor from the numbers of the record to SI, as read."""
         return float(scales_of(self.axes[:1], self.rate)[0])
 
+    @property
+    def random_walk(self) -> float:
+        """White noise, as read [deg/√h or m/s/√h]."""
+        return self.noise / self.kind.root_hour
+
     def noise_in(self, factor: float) -> str:
         """The noise if samples are this many times as large as read, as text."""
-        unit = "deg/√h" if self.sensor == "gyro" else "m/s/√h"
-        return f"{plain(factor * self.noise / _ROOT_HOUR[self.sensor], 3)} {unit}"
+        return f"{plain(factor * self.random_walk, 3)} {self.kind.unit}"
+
+    @cached_property
+    def units(self) -> _Units:
+        """Units that the samples may be in."""
+        own = parse_sample_unit(self.axes[0].unit, self.sensor)
+        factors = {own.name: 1.0}
+        for quantity, names in SAMPLE_UNITS[self.sensor].items():
+            # A curve is of rates.
+            if quantity == "rate" or self.mean is not None:
+                per = (self.rate if quantity == "increment" else 1.0) / self.scale
+                factors |= {name: unit_scale(name) * per for name in names if name != own.name}
+        step = self.step / self.scale
+        if step > 0.5 and abs(step - round(step)) < _PRECISION:
+            factors[_COUNTS] = np.nan
+        factors[_OTHER] = np.nan
+        usual = dict.fromkeys(factors, _SELDOM)
+        for pair, share in _PAIRS.items():
+            name = pair[SENSORS.index(self.sensor)]
+            if name in usual:
+                usual[name] += share
+        if own.quantity == "increment" and self.sensor == "accel":
+            wrong = {f"--rate {self.rate / ratio:g}": 1.0 / ratio for ratio in _RATES}
+            factors, usual = factors | wrong, usual | dict.fromkeys(wrong, 1.0)
+        return _Units(tuple(factors), np.array([*factors.values()]), np.array([*usual.values()]))
 
 
-class _Units(NamedTuple):
-    """Units that samples may be in, that of the label first.
-
-    Attributes:
-        names: the units; "--rate 10" for increments at that rate.
-        factors: factor of samples in each unit to samples as read; nan if it is unknown.
-        usual: how often programs write each.
-    """
-
-    names: tuple[str, ...]
-    factors: _OfUnits
-    usual: _OfUnits
-
-
-def units_of_record(
-    axes: Sequence[Axis],
-    rate: float,
-    mean: OfAxes,
-    white: Float[np.ndarray, "scales axes"],
-    steps: OfAxes,
-    moving: Collection[Sensor],
-    vibrating: bool,
-    given: Mapping[Sensor, float],
-) -> list[Fact]:
-    """Return facts about units that are in doubt in a recording.
+def units_of_record(sampled: Sampled, part: Windows, steps: OfAxes, moving: Collection[Sensor]) -> list[Fact]:
+    """Return facts about units that are in doubt in a recording or stream.
 
     Args:
-        axes, rate: axes, and sample rate [Hz].
-        mean, steps: mean, and step of the output (0 for none), of each axis [rad/s or m/s²].
-        white: Allan deviation times root of cluster time, for clusters up to a second [rad/√s or m/s/√s].
-        moving: sensors that seem to move.
-        vibrating: whether the platform is meant to move.
-        given: as in `Recording`.
+        sampled: the recording or stream.
+        part: windows of its longest part.
+        steps: step of the output of each axis [rad/s or m/s²]; 0 for none.
+        moving: sensors that seem to move, or are meant to.
     """
+    axes, rate = sampled.axes, sampled.rate
+    # Allan deviation times the root of the cluster time, for cluster times up to a second.
+    time = 2.0 ** np.arange(len(part.power)) / rate
+    known = part.pairs.any(axis=1) & (time <= max(1.0, time[0]))
+    white = np.sqrt(np.nanmean(mean_squares(part)[known], axis=1) / 2.0 * time[known, None])
+    least, most = white.min(axis=0), white.max(axis=0)
     facts = []
     for pair in itertools.zip_longest(*(groups(axes, sensor) for sensor in SENSORS)):
         shown = []
         for which in filter(None, pair):
-            sensor, step = axes[which[0]].sensor, steps[which]
-            # Motion is not white, but noise in another unit still is.
-            flat = np.median((white.max(axis=0) - _FLAT * white.min(axis=0))[which]) < 0.0
-            moves = vibrating or "accel" in moving or ("gyro" in moving and not flat)
+            own, step = [axes[k] for k in which], steps[which]
+            noise, size = float(np.median(least[which])), float(np.linalg.norm(part.average[which]))
             alike = float(step[0]) if np.allclose(step, step[0], rtol=_PRECISION, atol=0.0) else 0.0
-            noise, size = np.median(white.min(axis=0)[which]), np.linalg.norm(mean[which])
-            own = tuple(axes[k] for k in which)
-            shown.append(_Shown(own, rate, float(noise), float(size), alike, moves, given.get(sensor)))
+            # Motion is not white, but noise in another unit still is.
+            flat = np.median((most - _FLAT * least)[which]) < 0.0
+            moves = "accel" in moving or ("gyro" in moving and not flat)
+            shown.append(_Shown(own, rate, noise, size, alike, moves, sampled.given.get(own[0].sensor)))
         facts += _doubts(shown)
     return facts
 
@@ -213,14 +275,13 @@ def units_of_curve(
     """
     short = time <= max(1.0, time[0])
     white = (deviation * np.sqrt(time)[:, None])[short].min(axis=0)
-    found = []
+    shown = []
     for sensor in SENSORS:
-        which = [k for k, axis in enumerate(axes) if axis.sensor == sensor]
-        if which:
-            own = tuple(axes[k] for k in which)
-            word = 1.0 if sensor in given else None
-            found.append(_Shown(own, 1.0 / time[0], float(np.median(white[which])), given=word))
-    return _doubts(found)
+        own = [axis for axis in axes if axis.sensor == sensor]
+        if own:
+            noise = np.median([x for x, axis in zip(white, axes, strict=True) if axis.sensor == sensor])
+            shown.append(_Shown(own, 1.0 / time[0], float(noise), given=1.0 if sensor in given else None))
+    return _doubts(shown)
 
 
 def groups(axes: Sequence[Axis], sensor: Sensor) -> list[list[int]]:
@@ -234,130 +295,105 @@ def groups(axes: Sequence[Axis], sensor: Sensor) -> list[list[int]]:
 
 def _doubts(shown: Sequence[_Shown]) -> list[Fact]:
     """Return facts about units that are in doubt: of gyros, of accelerometers, or of both in this order."""
-    every = [_units(x) for x in shown]
-    alone = [_log_likelihood(x, units) for x, units in zip(shown, every, strict=True)]
+    alone = [_log_likelihood(x) for x in shown]
     if len(shown) == 1:
-        odds = [_normalised(alone[0] + np.log(_prior(shown[0], every[0], _TEMPLATE + _LABEL)))]
+        odds = [_normalised(alone[0] + np.log(_prior(shown[0], _TEMPLATE + _LABEL)))]
     else:
-        joint = alone[0][:, None] + alone[1] + _log_ratio(shown, every) + np.log(_joint_prior(shown, every))
-        odds = [_normalised(joint).sum(axis=1), _normalised(joint).sum(axis=0)]
+        joint = _normalised(np.add.outer(*alone) + _log_ratio(*shown) + np.log(_joint_prior(*shown)))
+        odds = [joint.sum(axis=1), joint.sum(axis=0)]
     facts = []
-    for k, (x, units) in enumerate(zip(shown, every, strict=True)):
+    for k, x in enumerate(shown):
         if odds[k][0] >= _TRUSTED:
             continue
-        trusting = _prior(dataclasses.replace(x, given=1.0), units, 0.0)
+        trusting = _prior(dataclasses.replace(x, given=1.0), 0.0)
         impossible = bool(_normalised(alone[k] + np.log(trusting))[0] < _TRUSTED)
-        beside = "".join(_beside(shown[j], every[j], odds[j]) for j in range(len(shown)) if j != k)
-        meaning, remedy = _advice(x, units, odds[k], impossible)
+        found = _finding(x) + "".join(_beside(shown[j], odds[j]) for j in range(len(shown)) if j != k)
+        meaning, remedy = _advice(x, odds[k], impossible)
         # The mean of few accelerometers depends on their tilt; what is given is not refused for the others.
         tilted = x.sensor == "accel" and x.mean is not None and len(x.axes) < 3
         sure = not tilted and (impossible or x.given is None)
         means: Consequence = NOT_A_MEASUREMENT if sure else "none"
-        names = tuple(axis.name for axis in x.axes)
-        fact = Fact(f"{x.sensor} unit", _finding(x) + beside, names, means, meaning=meaning, remedy=remedy)
-        facts.append(fact)
+        names = names_of(x.axes)
+        facts.append(Fact(f"{x.sensor} unit", found, names, means, meaning=meaning, remedy=remedy))
     return facts
 
 
 # --- Probabilities -----------------------------------------------------------------------------------------
 
 
-def _units(x: _Shown) -> _Units:
-    """Return the units that samples may be in."""
-    own = parse_sample_unit(x.axes[0].unit, x.sensor)
-    factors = {own.name: 1.0}
-    for quantity, names in SAMPLE_UNITS[x.sensor].items():
-        # A curve is of rates.
-        if quantity == "rate" or x.mean is not None:
-            per = x.rate if quantity == "increment" else 1.0
-            factors |= {name: unit_scale(name) * per / x.scale for name in names if name != own.name}
-    step = x.step / x.scale
-    factors |= dict.fromkeys([_COUNTS] * bool(step > 0.5 and abs(step - round(step)) < _PRECISION), np.nan)
-    factors[_OTHER] = np.nan
-    often = dict.fromkeys(factors, _SELDOM)
-    for pair, share in _PAIRS.items():
-        name = pair[x.sensor == "accel"]
-        if name in often:
-            often[name] += share
-    if own.quantity == "increment" and x.sensor == "accel":
-        factors |= {f"--rate {x.rate / ratio:g}": 1.0 / ratio for ratio in _RATES}
-        often |= dict.fromkeys([*factors][-len(_RATES) :], 1.0)
-    return _Units(tuple(factors), np.array([*factors.values()]), np.array([*often.values()]))
-
-
-def _prior(x: _Shown, units: _Units, wrong: float) -> _OfUnits:
+def _prior(x: _Shown, wrong: float) -> _OfUnits:
     """Return the probabilities of units before what the sensor shows; `wrong` is that of a wrong label."""
     wrong = wrong if x.given is None else _GIVEN
-    own = np.arange(len(units.names)) == 0
-    return (1.0 - wrong) * own + wrong * units.usual / units.usual.sum()
+    prior = wrong * x.units.usual / x.units.usual.sum()
+    prior[0] += 1.0 - wrong
+    return prior
 
 
-def _joint_prior(shown: Sequence[_Shown], every: Sequence[_Units]) -> Float[np.ndarray, "gyro accel"]:
+def _joint_prior(gyro: _Shown, accel: _Shown) -> Float[np.ndarray, "gyro accel"]:
     """Return the probabilities of the units of both sensors before what they show."""
-    given = [x.given for x in shown if x.given is not None]
+    pairs = [[_PAIRS.get((a, b), _SELDOM**2) for b in accel.units.names] for a in gyro.units.names]
+    usual = np.array(pairs)
+    given = [x.given for x in (gyro, accel) if x.given is not None]
     template = 0.0 if given else _TEMPLATE
-    pairs = np.array([[_PAIRS.get((a, b), _SELDOM**2) for b in every[1].names] for a in every[0].names])
     if len(given) == 1 and abs(given[0] - 1.0) > _PRECISION:
         template = _ONE_WAS_WRONG
-        (pairs if shown[1].given is None else pairs.T)[1:] = 0.0
-    single = [_prior(x, units, _LABEL) for x, units in zip(shown, every, strict=True)]
-    return (1.0 - template) * np.outer(*single) + template * pairs / pairs.sum()
+        (usual if accel.given is None else usual.T)[1:] = 0.0
+    single = np.outer(_prior(gyro, _LABEL), _prior(accel, _LABEL))
+    return (1.0 - template) * single + template * usual / usual.sum()
 
 
-def _log_likelihood(x: _Shown, units: _Units) -> _OfUnits:
+def _log_likelihood(x: _Shown) -> _OfUnits:
     """Return the log-likelihood of each unit from what the sensor itself shows."""
-    counts, other = (np.array([name == kind for name in units.names]) for kind in (_COUNTS, _OTHER))
+    names, factors = np.array(x.units.names), x.units.factors
+    known = np.isfinite(factors)
 
     def of(size: float, laws: _Laws, number: float, laws_of_counts: _Laws) -> _OfUnits:
-        sizes = np.maximum(np.where(np.isfinite(units.factors), size * units.factors, 1.0), _ZERO)
-        in_counts = _mixture(laws_of_counts, np.full_like(sizes, max(number, _ZERO)))
-        anywhere = _mixture(_ANYWHERE, np.ones_like(sizes))
-        return np.where(other, anywhere, np.where(counts, in_counts, _mixture(laws, sizes)))
+        sizes = np.maximum(np.where(known, size * factors, 1.0), _ZERO)
+        likely = np.where(names == _OTHER, _mixture(_ANYWHERE, 1.0), _mixture(laws, sizes))
+        return np.where(names == _COUNTS, _mixture(laws_of_counts, max(number, _ZERO)), likely)
 
-    found, per = np.zeros(len(units.names)), 1.0 / x.scale
+    found = np.zeros(len(names))
     if x.noise > 0.0:
-        size, laws = x.noise / _ROOT_HOUR[x.sensor], _NOISE[x.sensor]
+        laws = x.kind.noise
         if x.moves:
             # All of it may be motion, as read; more in another unit needs more motion.
-            laws = tuple(law._replace(high=max(law.high, size)) for law in laws)
-        found += of(size, laws, x.noise * np.sqrt(x.rate) * per, _NOISE_COUNTS)
-    whole = DEG if x.sensor == "gyro" else STANDARD_GRAVITY
+            laws = tuple(law._replace(high=max(law.high, x.random_walk)) for law in laws)
+        found += of(x.random_walk, laws, x.noise * np.sqrt(x.rate) / x.scale, _NOISE_COUNTS)
     if x.mean:
-        found += of(x.mean / whole, _means(x), x.mean * per, _MEAN_COUNTS)
+        found += of(x.mean / x.kind.usual, _means(x), x.mean / x.scale, _MEAN_COUNTS)
     if x.step > 0.0:
-        steps = np.where(np.isfinite(units.factors), x.step * units.factors / whole, 1e-9)
-        octaves = np.log2(steps[:, None] / _KNOWN[x.sensor])
-        known = (abs(octaves - np.rint(octaves)) < _PRECISION / np.log(2.0)).any(axis=1) & ~(counts | other)
-        by_chance = 2.0 * _PRECISION / np.log(2.0) * octaves.shape[1]
-        found += np.log(1.0 - _COMMON + _COMMON * known / by_chance) + _mixture(_STEP[x.sensor], steps)
+        steps = np.where(known, x.step * factors / x.kind.usual, 1e-9)
+        octaves = np.log2(steps[:, None] / x.kind.common)
+        precision = _PRECISION / np.log(2.0)
+        common = (abs(octaves - np.rint(octaves)) < precision).any(axis=1) & known
+        by_chance = 2.0 * precision * octaves.shape[1]
+        found += np.log(1.0 - _COMMON + _COMMON * common / by_chance) + _mixture(x.kind.step, steps)
     return found
 
 
 def _means(x: _Shown) -> _Laws:
     """Return the law of the size of the mean [deg/s or g]."""
-    if x.moves:
-        return _TURNING if x.sensor == "gyro" else _MOVING
     if x.sensor == "gyro":
-        return _BIAS
+        return _TURNING if x.moves else _BIAS
+    if x.moves:
+        return _MOVING
     return _TRIAD if len(x.axes) >= 3 else _FEWER
 
 
-def _log_ratio(shown: Sequence[_Shown], every: Sequence[_Units]) -> Float[np.ndarray, "gyro accel"]:
+def _log_ratio(*shown: _Shown) -> Float[np.ndarray, "gyro accel"]:
     """Return the log-likelihood of pairs of units from the ratio of the white noise of the sensors.
 
     It is zero within the range of the ratio: that each noise is one that sensors have is counted already.
     """
-    gyro, accel = (
-        x.noise / _ROOT_HOUR[x.sensor] * units.factors for x, units in zip(shown, every, strict=True)
-    )
+    gyro, accel = (x.random_walk * x.units.factors for x in shown)
     if any(x.moves or not x.noise for x in shown):
         return np.zeros((len(gyro), len(accel)))
     ratio = gyro[:, None] / accel
     ratio = np.maximum(ratio, np.minimum(ratio / np.minimum(accel / _MEMS, 1.0), 1.0))
-    return np.nan_to_num(_RATIO.log_density(ratio) - _RATIO.log_density(np.ones(1)))
+    return np.nan_to_num(_RATIO.log_density(ratio) - _RATIO.log_density(1.0))
 
 
-def _mixture(laws: _Laws, value: _OfUnits) -> _OfUnits:
+def _mixture(laws: _Laws, value: _OfUnits | float) -> _OfUnits:
     """Logarithm of the density of a mixture."""
     return np.logaddexp.reduce([law.log_density(value) for law in laws])
 
@@ -373,33 +409,35 @@ def _normalised(log_odds: np.ndarray) -> np.ndarray:
 
 def _finding(x: _Shown) -> str:
     """Return what the sensor shows, as read."""
+    head, noise = f"as read ({x.unit}) the {x.kind.plural}", x.noise_in(1.0)
     if x.mean is None:
-        return f"as read ({x.unit}) the {_SENSORS[x.sensor]} have {x.noise_in(1.0)} of noise"
+        return f"{head} have {noise} of noise"
     mean = f"{plain(x.mean / DEG, 3)} deg/s"
     if x.sensor == "accel":
         gravity = f"{STANDARD_GRAVITY / x.scale:.4g} {x.unit}"
         mean = f"{x.mean / x.scale:.4g} {x.unit} (gravity is {gravity})"
-    return f"as read ({x.unit}) the {_SENSORS[x.sensor]} average {mean} with {x.noise_in(1.0)} of noise"
+    return f"{head} average {mean} with {noise} of noise"
 
 
-def _beside(x: _Shown, units: _Units, odds: _OfUnits) -> str:
+def _beside(x: _Shown, odds: _OfUnits) -> str:
     """Return what the other sensor shows, or that its own label is wrong, and by which factor."""
-    best, name, given = int(np.argmax(odds)), _SENSORS[x.sensor], x.given or 1.0
-    if best == 0 and abs(given - 1.0) < _PRECISION:
-        return f", beside {name} with {x.noise_in(1.0)}"
-    if best == 0:
-        return f", and the label of the {name} is wrong by a factor of {plain(given, 4)}"
-    factor = f" (a factor of {plain(units.factors[best], 4)})" if np.isfinite(units.factors[best]) else ""
-    return f", and the {name} are probably in {units.names[best]}, not {x.unit}{factor}"
+    best, given = int(np.argmax(odds)), x.given or 1.0
+    if best > 0:
+        factor = x.units.factors[best]
+        by = f" (a factor of {plain(factor, 4)})" if np.isfinite(factor) else ""
+        return f", and the {x.kind.plural} are probably in {x.units.names[best]}, not {x.unit}{by}"
+    if abs(given - 1.0) < _PRECISION:
+        return f", beside {x.kind.plural} with {x.noise_in(1.0)}"
+    return f", and the label of the {x.kind.plural} is wrong by a factor of {plain(given, 4)}"
 
 
-def _advice(x: _Shown, units: _Units, odds: _OfUnits, impossible: bool) -> tuple[str, str]:
+def _advice(x: _Shown, odds: _OfUnits, impossible: bool) -> tuple[str, str]:
     """Return the probable unit, and what to do."""
     best, option = 1 + int(np.argmax(odds[1:])), f"--{x.sensor}-unit"
-    name, factor = units.names[best], units.factors[best]
+    name, factor = x.units.names[best], x.units.factors[best]
     if name == _OTHER:
-        range_ = "" if x.sensor == "gyro" else ", and is the range wide enough?"
-        return "no usual unit makes that plausible", f"is the unit right ({option}){range_ or '?'}"
+        wide = "" if x.sensor == "gyro" else ", and is the range wide enough"
+        return "no usual unit makes that plausible", f"is the unit right ({option}){wide}?"
     if name == _COUNTS:
         size = COUNT_SIZES[x.sensor]
         return "they are whole numbers, probably counts", f"give the size of one with {option}, e.g. {size}"
@@ -407,9 +445,8 @@ def _advice(x: _Shown, units: _Units, odds: _OfUnits, impossible: bool) -> tuple
         return f"the rate is probably {name.removeprefix('--rate ')} Hz", f"pass {name}"
     likely = "probably" if odds[best] > 0.5 else "perhaps"
     told = f"the unit is {likely} {name} (a factor of {plain(factor, 4)})"
-    meaning = f"{told}, in which the noise is {x.noise_in(factor)}"
     remedy = f"pass {option} {name.replace('²', '^2')}"
-    if x.given is not None:
-        return meaning, remedy
-    own = f"{option} {x.unit.replace('²', '^2')} if that is right"
-    return meaning, f"{remedy}, or {'correct the unit in the header' if impossible else own}"
+    if x.given is None:
+        own = f"{option} {x.unit.replace('²', '^2')} if that is right"
+        remedy += f", or {'correct the unit in the header' if impossible else own}"
+    return f"{told}, in which the noise is {x.noise_in(factor)}", remedy

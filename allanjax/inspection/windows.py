@@ -10,16 +10,17 @@ records, whatever their noise; its threshold is a number of standard deviations.
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Iterator, Sequence
-from typing import NamedTuple, TypeAlias
+from collections.abc import Iterator, Mapping, Sequence
+from typing import NamedTuple, Protocol, TypeAlias
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from allanjax.base.wording import plain
-from allanjax.inspection.facts import amount
+from allanjax.inspection.facts import NOT_A_MEASUREMENT, Fact, amount, names_of
 from allanjax.record.completion import runs_of
 from allanjax.record.recording import Axis
+from allanjax.record.units import Sensor
 
 #: Largest number of windows; a long recording has between half as many and so many.
 MOST = 1024
@@ -70,8 +71,29 @@ Which: TypeAlias = Bool[np.ndarray, " n"]
 WhichWindows: TypeAlias = Bool[np.ndarray, " w"]
 OfAxes: TypeAlias = Float[np.ndarray, " axes"]
 _OfWindows: TypeAlias = Float[np.ndarray, "w axes"]
-#: Scores of axes and groups of axes.
+#: Groups of axes by their indices, and their scores.
+Groups: TypeAlias = Sequence[Sequence[int]]
 Scores: TypeAlias = Float[np.ndarray, "groups places"]
+
+
+class Sampled(Protocol):
+    """A recording or a stream: what it is of, whatever its samples."""
+
+    @property
+    def name(self) -> str:
+        """Name for display."""
+
+    @property
+    def axes(self) -> Sequence[Axis]:
+        """Axes of the samples."""
+
+    @property
+    def rate(self) -> float:
+        """Sample rate [Hz]."""
+
+    @property
+    def given(self) -> Mapping[Sensor, float]:
+        """Sensors whose unit was given, as in `Recording`."""
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -109,12 +131,10 @@ class Windows:
             size = SHORTEST
             while len(values) // size > MOST:
                 size *= 2
-        whole = len(values) // size
-        step = max(_AT_ONCE // size, 1)
-        parts = [
-            _statistics(values[k * size : min(k + step, whole) * size], size, size)
-            for k in range(0, whole, step)
-        ]
+        whole = len(values) // size * size
+        step = max(_AT_ONCE // size, 1) * size
+        firsts = range(0, whole, step)
+        parts = [_statistics(values[k : min(k + step, whole)], size, size) for k in firsts]
         joined = _statistics(values[:0], size, size)._joined(*parts)
         resolution = np.full(values.shape[1], np.inf)
         if len(values) > 1:
@@ -122,8 +142,7 @@ class Windows:
             d = np.diff(first, axis=0)
             # Differences due to floating-point rounding are not steps.
             resolution = np.where(d > 1e-9 * np.ptp(first, axis=0), d, np.inf).min(axis=0)
-        rest = np.array(values[whole * size :])
-        return dataclasses.replace(joined, resolution=resolution, rest=rest)
+        return dataclasses.replace(joined, resolution=resolution, rest=np.array(values[whole:]))
 
     def __len__(self) -> int:
         return len(self.count)
@@ -133,6 +152,20 @@ class Windows:
         """Share of the samples in each window that are equal to the one before."""
         compared = (SHORTEST - 1) * (self.count // SHORTEST)
         return self.repeats / np.maximum(compared, 1)[:, None]
+
+    @property
+    def steps(self) -> OfAxes:
+        """Smallest step between samples on each axis; 0 without any."""
+        return np.where(np.isfinite(self.resolution), self.resolution, 0.0)
+
+    @property
+    def average(self) -> OfAxes:
+        """Mean of all samples but those after the last window."""
+        return self.averaged(self.mean)
+
+    def averaged(self, values: _OfWindows) -> OfAxes:
+        """Mean of what there is of each window over the windows, weighted by their samples."""
+        return np.average(values, axis=0, weights=self.count)
 
     @property
     def n(self) -> int:
@@ -147,10 +180,11 @@ class Windows:
     def updated(self, values: Values) -> Windows:
         """These windows and those of the samples that follow, twice as long once there would be too many."""
         held, left = self, np.concatenate([self.rest, values])
-        while (free := MOST - len(held)) * held.size + held.size <= len(left):
-            taken = free * held.size
-            held = held._joined(Windows.of(left[:taken], held.size))._coarser()
-            left = left[taken:]
+        wanted = (MOST - len(held)) * held.size
+        while len(left) >= wanted + held.size:
+            held = held._joined(Windows.of(left[:wanted], held.size))._coarser()
+            left = left[wanted:]
+            wanted = (MOST - len(held)) * held.size
         return held._joined(Windows.of(left, held.size))
 
     def merge(self, right: Windows) -> Windows:
@@ -193,31 +227,26 @@ class Windows:
 
     def _joined(self, *others: Windows) -> Windows:
         """Windows of this piece followed by those of others, of the same size."""
-        pieces = (self, *others)
-        joined = {
-            name: np.concatenate([getattr(piece, name) for piece in pieces], axis=along)
-            for name, along in _ALONG.items()
-        }
+        pieces, joined = (self, *others), {}
+        for name, along in _ALONG.items():
+            joined[name] = np.concatenate([getattr(piece, name) for piece in pieces], axis=along)
         resolution = np.min([piece.resolution for piece in pieces], axis=0)
         return Windows(self.size, **joined, resolution=resolution, rest=pieces[-1].rest)
 
     def _coarser(self) -> Windows:
         """Windows twice as long, each of two; an odd one at the end stays as it is."""
-        half = len(self) // 2
-        a, b = self.between(0, 2 * half), self._rows(slice(2 * half, None))
-        whole = (a.count[::2] == self.size) & (a.count[1::2] == self.size)
-        d = np.where(whole[:, None], a.mean[1::2] - a.mean[::2], 0.0)
-        longer = a._paired()._with_scale(d * d, whole)
-        odd = b._with_scale(np.zeros(b.mean.shape), np.zeros(len(b), bool))
-        return longer._joined(odd)
-
-    def _with_scale(self, power: _OfWindows, pairs: WhichWindows) -> Windows:
-        """These as windows of twice the size, with the sums of squares at one more cluster size."""
+        even = len(self) // 2 * 2
+        twos, odd = self.between(0, even), self._rows(slice(even, None))
+        whole = (twos.count[::2] == self.size) & (twos.count[1::2] == self.size)
+        d = np.where(whole[:, None], twos.mean[1::2] - twos.mean[::2], 0.0)
+        longer = twos._paired()._joined(odd)
+        # Sums of squares at one more cluster size, of which the odd window has none.
+        power, pairs = np.pad(d * d, ((0, len(odd)), (0, 0))), np.pad(whole.astype(int), (0, len(odd)))
         return dataclasses.replace(
-            self,
+            longer,
             size=2 * self.size,
-            power=np.concatenate([self.power, power[None]]),
-            pairs=np.concatenate([self.pairs, pairs[None].astype(int)]),
+            power=np.concatenate([longer.power, power[None]]),
+            pairs=np.concatenate([longer.pairs, pairs[None]]),
         )
 
     def _paired(self) -> Windows:
@@ -254,21 +283,28 @@ def _statistics(values: Values, size: int, length: int) -> Windows:
     return Windows(size, count, mean, low, high, power, pairs, peak, repeats, resolution, values[:0])
 
 
-@dataclasses.dataclass(frozen=True, eq=False)
-class Steps:
+class Steps(NamedTuple):
     """Differences between the means of neighbouring runs of windows, at all places.
 
     Attributes:
         lag: number of windows of a run; place k compares those from k on with those from k + lag on.
-        score: the score of each axis, and of groups of them, at each place.
         step: difference of each axis, less the median.
         scatter: scatter of the differences of each axis.
     """
 
     lag: int
-    score: Scores
     step: Float[np.ndarray, "axes places"]
     scatter: OfAxes
+
+    def mean_squares(self, groups: Groups) -> Scores:
+        """Mean squares of the steps of groups of axes, in scatters."""
+        squares = (self.step / self.scatter[:, None]) ** 2
+        return np.stack([squares[g].mean(axis=0) for g in groups])
+
+    def scores(self, groups: Groups) -> Scores:
+        """Scores of groups of axes."""
+        roots = np.cbrt(self.mean_squares(groups) + _SOFT)
+        return _scored(roots, np.full(len(groups), _LEAST_STEP_SCATTER))
 
 
 def shortest_half(
@@ -290,15 +326,22 @@ def mean_squares(windows: Windows) -> Float[np.ndarray, "scales w axes"]:
         return np.where(windows.pairs[..., None] > 0, windows.power / windows.pairs[..., None], np.nan)
 
 
+def mean_square(
+    windows: Windows, rows: slice | WhichWindows = slice(None)
+) -> Float[np.ndarray, "scales axes"]:
+    """Return mean square differences of neighbouring clusters over all of these windows; 0 without any."""
+    pairs = np.maximum(windows.pairs[:, rows].sum(axis=1), 1)
+    return windows.power[:, rows].sum(axis=1) / pairs[:, None]
+
+
 def lattice_power(windows: Windows) -> OfAxes:
     """Return the mean square difference that rounding alone may cause if samples have few values."""
     repeated = np.median(windows.repeated, axis=0)
     share = np.clip((repeated - _DITHERED) / (_COARSE - _DITHERED), 0.0, 1.0)
-    resolution = np.where(np.isfinite(windows.resolution), windows.resolution, 0.0)
-    return share * resolution**2 / 4.0
+    return share * windows.steps**2 / 4.0
 
 
-def groups_of(sensors: Sequence[str]) -> list[list[int]]:
+def groups_of(sensors: Sequence[str]) -> Groups:
     """Return the groups of axes to score: each axis, each sensor, and all, since handling moves all."""
     alone = [[k] for k in range(len(sensors))]
     kinds = [[k for k, s in enumerate(sensors) if s == kind] for kind in dict.fromkeys(sensors)]
@@ -306,20 +349,17 @@ def groups_of(sensors: Sequence[str]) -> list[list[int]]:
     return alone + together + ([list(range(len(sensors)))] if len(sensors) > 1 else [])
 
 
-def noise_scores(
-    windows: Windows, sensors: Sequence[str], length: int, left_out: WhichWindows
-) -> Iterator[Scores]:
-    """Return scores of the noise at each cluster size within a window, averaged over `length` windows.
+def noise_scores(windows: Windows, groups: Groups, length: int, left_out: WhichWindows) -> Iterator[Scores]:
+    """Yield scores of the noise at each cluster size within a window, averaged over `length` windows.
 
     Place k is the average from window k on. Windows that are left out count as typical ones.
     """
     if len(windows) < _FEWEST * length:
         return
-    groups, floor = groups_of(sensors), lattice_power(windows)
     # A short window at a seam has fewer differences and scatters more than the others.
     few = 2 * windows.pairs < np.median(windows.pairs, axis=1, keepdims=True)
     squares = np.where((left_out | few)[..., None], np.nan, mean_squares(windows))
-    for root, pairs in zip(np.cbrt(squares + floor), windows.pairs, strict=True):
+    for root, pairs in zip(np.cbrt(squares + lattice_power(windows)), windows.pairs, strict=True):
         known = np.isfinite(root[:, 0])
         if not known.any():
             continue
@@ -335,19 +375,16 @@ def noise_scores(
         yield _scored(together, np.sqrt(2.0 / (9.0 * usual * length * sizes)))
 
 
-def steps_of(
-    windows: Windows, sensors: Sequence[str], left_out: WhichWindows | None = None
-) -> Iterator[Steps]:
-    """Differences between the means of neighbouring runs of 1, 2, 4, … windows, with scores.
+def steps_of(windows: Windows, left_out: WhichWindows | None = None) -> Iterator[Steps]:
+    """Differences between the means of neighbouring runs of 1, 2, 4, … windows.
 
     Their median is subtracted: a ramp over the record is a term of the noise model. The means leave out the
     windows in `left_out`.
     """
-    groups, floor = groups_of(sensors), lattice_power(windows)
     weight = windows.count.astype(float) if left_out is None else windows.count * ~left_out
     mean = windows.mean - windows.mean.mean(axis=0)
     total = np.concatenate([[0.0 * mean[0]], np.cumsum(weight[:, None] * mean, axis=0)])
-    known = np.concatenate([[0.0], np.cumsum(weight)])
+    known, floor = np.concatenate([[0.0], np.cumsum(weight)]), lattice_power(windows)
     lag = 1
     while len(windows) >= _FEWEST * lag:
         count = known[lag:] - known[:-lag]
@@ -357,11 +394,8 @@ def steps_of(
             return
         middle, scatter = shortest_half(step)
         scatter = np.sqrt(scatter**2 + floor)
-        scatter = np.where(scatter > 0.0, scatter, np.inf)
         step = np.nan_to_num(step - middle[:, None])
-        square = (step / scatter[:, None]) ** 2
-        roots = np.stack([np.cbrt(square[g].mean(axis=0) + _SOFT) for g in groups])
-        yield Steps(lag, _scored(roots, np.full(len(groups), _LEAST_STEP_SCATTER)), step, scatter)
+        yield Steps(lag, step, np.where(scatter > 0.0, scatter, np.inf))
         lag *= 2
 
 
@@ -394,28 +428,22 @@ def motions(windows: Windows, axes: Sequence[Axis], rate: float) -> list[Motion]
     over = max(int(np.ceil(rate / windows.size)), 1)
     whole = len(windows) // over * over
     mean = windows.mean[:whole].reshape(-1, over, len(axes)).mean(axis=1) if whole else windows.mean
-    within = mean_squares(windows)
-    known = [k for k, square in enumerate(within) if np.isfinite(square).any()]
-    changes = [((1 << k) / rate, np.nanmean(within[k], axis=0)) for k in known]
-    sensors = [axis.sensor for axis in axes]
-    changes += [(s.lag * windows.size / rate, (s.step**2).mean(axis=1)) for s in steps_of(windows, sensors)]
-    # Limits follow white noise up to 1 s; the rms difference of two means is √2 times the Allan deviation.
-    tests = [
-        (
-            f"changes by {{}} rms between consecutive {plain(time, 2)} s averages",
-            np.sqrt(square),
-            AT_REST,
-            2.0 / min(time, 1.0),
-        )
-        for time, square in changes
-        if _SHORTEST <= time <= _LONGEST
-    ]
-    tests += [("drifts over a range of {}", np.ptp(mean, axis=0), WANDERS, 1.0)]
-    tests += [("varies by {} rms", rms_within(windows), SHAKES, 1.0)]
+    within = mean_squares(windows)[windows.pairs.any(axis=1)]
+    changes = [(2.0**k / rate, np.nanmean(squares, axis=0)) for k, squares in enumerate(within)]
+    changes += [(of.lag * windows.size / rate, (of.step**2).mean(axis=1)) for of in steps_of(windows)]
+    tests = []
+    for time, square in changes:
+        if _SHORTEST <= time <= _LONGEST:
+            how = f"changes by {{}} rms between consecutive {plain(time, 2)} s averages"
+            # Limits follow white noise up to 1 s; the rms difference of two means is √2 times the Allan
+            # deviation.
+            tests.append((how, np.sqrt(square), AT_REST, np.sqrt(2.0 / min(time, 1.0))))
+    tests.append(("drifts over a range of {}", np.ptp(mean, axis=0), WANDERS, 1.0))
+    tests.append(("varies by {} rms", rms_within(windows), SHAKES, 1.0))
     evidence = []
-    for how, values, limits, square in tests:
+    for how, values, limits, factor in tests:
         for k, axis in enumerate(axes):
-            limit = limits[axis.sensor] * np.sqrt(square)
+            limit = limits[axis.sensor] * factor
             if values[k] > limit:
                 moved, most = how.format(amount(values[k], axis)), amount(limit, axis)
                 words = f"{axis.name} {moved}; a sensor at rest stays below {most}"
@@ -431,23 +459,25 @@ def rms_within(windows: Windows, most: int | None = None) -> OfAxes:
     return np.sqrt((power.sum(axis=1) * (scales / 2.0)[:, None]).sum(axis=0) / windows.count.sum())
 
 
-#: What follows if a sensor moves.
-IN_MOTION = "this is not a static recording, and the coefficients describe the motion, not the sensor"
-
-
-def motion_warning(moving: Sequence[Motion], axes: Sequence[Axis], disturbed: bool) -> tuple[str, str]:
-    """Return the numbers that show motion, and what to do about it.
+def motion_fact(moving: Sequence[Motion], axes: Sequence[Axis], disturbed: bool) -> Fact:
+    """Return the fact about this motion.
 
     `disturbed` is whether disturbances prevent coefficients even if the motion is intended.
     """
     # The strongest of each sensor, which is the last.
     reasons = {axes[m.axis].sensor: m.words for m in moving}
+    concerned = {m.axis for m in moving}
     too = (" --as-is", ", as_is=True") if disturbed else ("", "")
-    remedy = (
-        "record it at rest, or select a part at rest with --start and --stop; if the motion is intended, "
-        f"pass --vibrating{too[0]} (vibrating=True{too[1]})"
+    return Fact(
+        "at rest",
+        ", and ".join(reasons.values()),
+        # If two axes show motion, all axes move.
+        names_of(axes[k] for k in concerned) if len(concerned) == 1 else names_of(axes),
+        NOT_A_MEASUREMENT,
+        meaning="this is not a static recording, and the coefficients describe the motion, not the sensor",
+        remedy="record it at rest, or select a part at rest with --start and --stop; if the motion is "
+        f"intended, pass --vibrating{too[0]} (vibrating=True{too[1]})",
     )
-    return ", and ".join(reasons.values()), remedy
 
 
 def runs(mask: Which, gap: int) -> list[tuple[int, int]]:
