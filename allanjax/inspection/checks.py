@@ -138,11 +138,12 @@ def _temperature(recording: Recording) -> Line:
     name, varies = "temperature", []
     for key, z in temperatures(recording).items():
         if not np.isfinite(z).all():
-            return Line(name, "look", f"values of {key} are missing; whether an axis follows it is unknown")
+            return Line(name, "look", f"values of {key} are missing", "whether an axis follows it is unknown")
         unit = recording.auxiliary_units.get(key, "(unit of its column)")
         varies.append(f"{key} varies by {plain(float(np.ptp(z)), 3)} {unit}")
     if not varies:
-        return Line(name, "look", "no temperature column; temperature drift will be counted as B, K or ramp")
+        counted = "temperature drift will be counted as B, K or ramp"
+        return Line(name, "look", "no temperature column", counted)
     return Line(name, "fine", f"{' and '.join(varies)}, and no axis follows it")
 
 

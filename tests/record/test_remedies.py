@@ -472,7 +472,7 @@ ARRAYS = [
     ({"values": NOISE[:, :3]}, "3 columns|gyro_unit=|accel_unit=|names="),
     ({"names": ["gyro_x"]}, "1 names for 6|names="),
     ({"names": [1, 2, 3, 4, 5, 6]}, "names=|'gyro_x'|not 1"),
-    ({"values": 1e-31 * NOISE}, "'gyro_x'|1e-30|unit"),
+    ({"values": 1e-31 * NOISE}, "'gyro_x'|constant"),
     ({"values": np.ma.masked_less(NOISE, -1.0)}, "gyro_x|has nan|gaps="),
     ({"names": ["gx", "gy", "gz", "ax", "ay", "mag"]}, "'mag'|auxiliary="),
     ({"names": ["gx", "gx", "gz", "ax", "ay", "az"]}, "'gx'"),
