@@ -185,12 +185,12 @@ def fit_curve(curve: AllanDeviation, model: ModelLike | None = None, objective: 
         raise AllanjaxError(f"a fit needs Allan deviations with units, not a {curve.kind} curve without axes")
     if objective != "allan":
         raise FitError(f'objective="{objective}" needs the record itself; leave it out for a curve')
+    facts = units_of_curve(curve.axes, curve.cluster_time, curve.deviation, curve.given)
     template = basic_terms() if model is None else as_model(model, curve.axes)
     check_no_response(template)
     check_terms(template, "needs the record itself; leave it out for a curve")
     check_count(len(curve.cluster_size), "Allan variances", curve.n, template, curve.name)
     active = np.ones((len(curve.axes), len(template)), bool)
-    facts = units_of_curve(curve.axes, curve.cluster_time, curve.deviation, curve.given)
     fitted = fit_allan(curve, None, curve.axes, template, active)
     results, curve = with_curve(curve, template, fitted)
     if not curve.determined:

@@ -1,10 +1,11 @@
 """Static recordings of gyros and accelerometers."""
 
 import functools
+import itertools
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from types import MappingProxyType
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -261,7 +262,8 @@ class Recording(ByValue):
         rows = rows_between(self.n, self.rate, start, stop)
         notes = [*notes_on_part(rows, self.n, self.duration, source)]
         values = self.values[rows]
-        kept, dead = _living(values, self.axes, self.own_scales, self.names, source)
+        living = _Living.of(values, self.axes, self.own_scales, self.names, source)
+        kept, dead = living.kept, living.dead
         missing = None if self.missing is None else self.missing[rows, kept]
         others, places = [], []
         for place, segment in zip(self.places, self.others, strict=False):
@@ -278,7 +280,7 @@ class Recording(ByValue):
         return replace(
             self,
             values=values[:, kept],
-            axes=_without(dead, self.axes),
+            axes=living.axes,
             missing=missing if missing is not None and missing.any() else None,
             others=tuple(others),
             places=tuple(places),
@@ -322,9 +324,9 @@ def _recording(table: Table, layout: Layout, record: Record, name: str) -> Recor
     if lost.any():
         values = np.array([bridged(*column) for column in zip(values.T, lost.T, strict=True)]).T
     labels = [column.label for column in layout.columns]
-    kept, dead = _living(values, layout.axes, np.ones(len(labels)), labels, record.rows.source)
+    living = _Living.of(values, layout.axes, np.ones(len(labels)), labels, record.rows.source)
+    axes, kept = living.axes, living.kept
     values, lost = values[:, kept], lost[:, kept]
-    axes = _without(dead, layout.axes)
     scales = scales_of(axes, record.rate)
     notes = (*table.notes, *layout.notes, *record.notes)
     if lost.any():
@@ -344,8 +346,8 @@ def _recording(table: Table, layout: Layout, record: Record, name: str) -> Recor
         auxiliary=MappingProxyType(dict(record.rows.auxiliary)),
         auxiliary_units=MappingProxyType({c.name: c.unit for c in layout.auxiliary if c.unit}),
         name=name,
-        notes=(*notes, *(axis.note for axis in dead)),
-        dead=dead,
+        notes=(*notes, *(axis.note for axis in living.dead)),
+        dead=living.dead,
         jitter=record.jitter,
         missing=lost if lost.any() else None,
         others=tuple(others),
@@ -356,23 +358,24 @@ def _recording(table: Table, layout: Layout, record: Record, name: str) -> Recor
     )
 
 
-def _living(
-    values: Float[np.ndarray, "samples axes"],
-    axes: Sequence[Axis],
-    scales: Float[np.ndarray, " axes"],
-    labels: Sequence[str],
-    source: Source,
-) -> tuple[slice | Bool[np.ndarray, " axes"], tuple[DeadAxis, ...]]:
-    """Return which axes are alive, a slice if all are, and the dead ones.
+class _Living(NamedTuple):
+    """Axes that are alive, where they are among all (a slice if all are), and the dead ones."""
 
-    `scales` are the factors from the axes' own units to those of the samples.
-    """
-    living = check_values(values, labels, source)
-    every = zip(axes, values[0] / scales, living, strict=True)
-    dead = tuple(DeadAxis.of(axis, float(value)) for axis, value, lives in every if not lives)
-    return living if dead else slice(None), dead
+    axes: tuple[Axis, ...]
+    kept: slice | Bool[np.ndarray, " axes"]
+    dead: tuple[DeadAxis, ...]
 
-
-def _without(dead: Sequence[DeadAxis], axes: Sequence[Axis]) -> tuple[Axis, ...]:
-    """Return the axes that are not dead."""
-    return tuple(axis for axis in axes if axis not in [one.axis for one in dead])
+    @classmethod
+    def of(
+        cls,
+        values: Float[np.ndarray, "samples axes"],
+        axes: Sequence[Axis],
+        scales: Float[np.ndarray, " axes"],
+        labels: Sequence[str],
+        source: Source,
+    ) -> "_Living":
+        """Return which axes are alive; `scales` are the factors from the axes' own units to the samples'."""
+        living = check_values(values, labels, source)
+        every = zip(axes, values[0] / scales, living, strict=True)
+        dead = tuple(DeadAxis.of(axis, float(value)) for axis, value, lives in every if not lives)
+        return cls(tuple(itertools.compress(axes, living)), living if dead else slice(None), dead)

@@ -11,6 +11,7 @@ from allanjax.base.errors import RecordingError, expect
 from allanjax.record.io.options import GapChoice, ReadOptions, TimeChoice
 
 if TYPE_CHECKING:
+    from allanjax.record.io.table import Table
     from allanjax.record.recording import Recording
 
 __all__ = ["ReadOptions", "read", "read_recording", "write"]
@@ -78,13 +79,22 @@ def read(
 
 def read_recording(path: str | os.PathLike[str], options: ReadOptions, label: str | None = None) -> Recording:
     """Read a static recording with these options, as `read` does; messages name the file `label`."""
-    from allanjax.record.io.formats import format_of, name_of
     from allanjax.record.recording import recording_of
+
+    table, name = table_at(path, options, label)
+    return recording_of(table, name, options)
+
+
+def table_at(
+    path: str | os.PathLike[str], options: ReadOptions, label: str | None = None
+) -> tuple[Table, str]:
+    """Return the table of a file, and a name for its recording; messages name the file `label`."""
+    from allanjax.record.io.formats import format_of, name_of
     from allanjax.record.validation import Source
 
     path = Path(path)
     source = Source(label or str(path))
-    return recording_of(format_of(path, source).table(path, source, options), name_of(path), options)
+    return format_of(path, source).table(path, source, options), name_of(path)
 
 
 def write(recording: Recording, path: str | os.PathLike[str]) -> None:

@@ -10,7 +10,7 @@ from jaxtyping import ArrayLike, Float
 
 from allanjax.base.errors import AllanjaxError
 from allanjax.record.columns import names_of
-from allanjax.record.io import read_recording
+from allanjax.record.io import table_at
 from allanjax.record.io.memory import columns_of, samples_in, table_of
 from allanjax.record.io.options import GapChoice, ReadOptions
 from allanjax.record.recording import Recording, recording_of
@@ -57,8 +57,10 @@ def as_recording(
         return data
     options = ReadOptions(rate, gyro_unit, accel_unit, names, gaps=gaps)
     if isinstance(data, str | os.PathLike):
-        return read_recording(data, options)
-    return recording_of(table_of(data, options), "", options)
+        table, name = table_at(data, options)
+    else:
+        table, name = table_of(data, options), ""
+    return recording_of(table, name, options)
 
 
 @dataclass(frozen=True, eq=False)
