@@ -1,6 +1,7 @@
 """Times: the seconds that time stamps tell, whatever they are written as."""
 
 import re
+import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
@@ -203,8 +204,10 @@ def _date_format(text: str) -> str:
         return ""
     if not pd.isna(pd.to_datetime(text, format="ISO8601", errors="coerce")):
         return "ISO8601"
-    # The order of day and month matters only over midnight.
-    return guess_datetime_format(text) or guess_datetime_format(text, dayfirst=True) or ""
+    # The order of day and month matters only over midnight; pandas warns where it follows from the date.
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        return guess_datetime_format(text) or guess_datetime_format(text, dayfirst=True) or ""
 
 
 def _since_first(values: Cells, label: str, source: Source) -> Seconds:
