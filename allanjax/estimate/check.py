@@ -37,6 +37,7 @@ from allanjax.estimate.spectral.components import columns_of
 from allanjax.estimate.spectral.fit import chi_squared
 from allanjax.inspection import Inspection, inspect
 from allanjax.inspection.checks import Line, Verdict, lines_of, worst
+from allanjax.inspection.facts import clauses
 from allanjax.inspection.spectral import bandwidth_in, spectrum_of
 from allanjax.noise.estimate import Estimate
 from allanjax.noise.model import Model
@@ -366,10 +367,11 @@ def _of_length(inspection: Inspection, lengths: Sequence[NeededLength]) -> Itera
             poorest = max(own, key=lambda length: length.relative_std)
             yield Line(name, "fine", f"{poorest}{', other axes better' * (len(own) > 1)}")
         else:
-            yield Line(name, "look", _in_short(symbol, left), "; ".join(map(str, left)))
+            finding, needed = _in_short(symbol, left)
+            yield Line(name, "look", finding, clauses(needed, *map(str, left)))
 
 
-def _in_short(symbol: str, lengths: Sequence[NeededLength]) -> str:
+def _in_short(symbol: str, lengths: Sequence[NeededLength]) -> tuple[str, str]:
     """Return on which axes a coefficient is not known, and the longest recording that any of them needs."""
     # Axes whose fit does not describe the sensor have a line of their own.
     left, states = [x for x in lengths if not x.reason], dict[str, list[str]]()
@@ -379,11 +381,11 @@ def _in_short(symbol: str, lengths: Sequence[NeededLength]) -> str:
     every = ((of[0] if len(of) == 1 else f"{len(of)} axes", state) for state, of in states.items())
     head = f"{symbol} is " + ", ".join(f"{state} on {axes}" for axes, state in every)
     if not left:
-        return head
+        return head, ""
     longest = max(left, key=lambda x: x.seconds or math.inf)
     at_limit = "if it is as large as its limit, " * (states.keys() == {"not detected"})
     where = f" ({longest.coefficient.axis.name})" * (len(left) > 1)
-    return f"{head}; {at_limit}{in_words(longest.seconds)} would give {_TARGET_WORDS}{where}"
+    return head, f"{at_limit}{in_words(longest.seconds)} would give {_TARGET_WORDS}{where}"
 
 
 def in_words(seconds: float | None) -> str:

@@ -53,7 +53,6 @@ class Recording(ByValue):
         rate: sample rate in Hz.
         axes: axes, one per column of `values`.
         auxiliary: other columns by name, in the units of the file.
-        auxiliary_units: these units by name, where the file states them.
         name: name for display, e.g. that of the file without its suffix.
         notes: assumptions and findings of the reader that users should know.
         dead: axes that were left out because they have no noise, and why.
@@ -62,29 +61,30 @@ class Recording(ByValue):
             if there are none.
         others: other segments of the same record, separated by missing samples (`gaps="segments"`), in SI:
             Allan deviations and noise coefficients use all segments, everything else uses `values`.
-        places: number of the first sample of each of `others`, counted from that of `values`; empty if
-            unknown.
         gaps: where samples of the record are missing, either filled in or between segments; None if that is
             unknown without time stamps.
         begun: UNIX time of the first sample [s]; None if the time stamps do not tell it.
         given: sensors whose unit was given, and the factor from their labels' unit to it; 1 without labels.
+        places: number of the first sample of each of `others`, counted from that of `values`; empty if
+            unknown.
+        auxiliary_units: units of the `auxiliary` columns by name, where the file states them.
     """
 
     values: Float[np.ndarray, "samples axes"]
     rate: float
     axes: tuple[Axis, ...]
     auxiliary: Mapping[str, Float[np.ndarray, " samples"]] = field(default_factory=_NONE)
-    auxiliary_units: Mapping[str, str] = field(default_factory=_NONE)
     name: str = ""
     notes: tuple[str, ...] = ()
     dead: tuple[DeadAxis, ...] = ()
     jitter: float | None = None
     missing: Bool[np.ndarray, "samples axes"] | None = None
     others: tuple[Float[np.ndarray, "_ axes"], ...] = ()
-    places: tuple[int, ...] = ()
     gaps: tuple[Gap, ...] | None = None
     begun: float | None = None
     given: Mapping[Sensor, float] = field(default_factory=_NONE)
+    places: tuple[int, ...] = ()
+    auxiliary_units: Mapping[str, str] = field(default_factory=_NONE)
 
     @classmethod
     def from_array(

@@ -103,6 +103,13 @@ def test_a_recording_comes_back_from_its_frame(recording, si, tmp_path):
     assert (chosen.names, chosen.rate) == (("gyro_z",), pytest.approx(123.4567))
 
 
+def test_a_recording_is_made_of_its_parts_in_their_order():
+    """Later fields come after those that users may give by position."""
+    made = aj.Recording.from_array(NOISE[:, :1], 50.0, gyro_unit="deg/s")
+    again = aj.Recording(made.values, 50.0, made.axes, {}, "unit 7", ("simulated",))
+    assert (again.name, again.notes, again.auxiliary_units) == ("unit 7", ("simulated",), {})
+
+
 def test_a_written_recording_is_read_without_arguments(tmp_path):
     units = {"gyro_unit": "arcsec", "accel_unit": "µg", "names": ["gyro_x", "gyro_1", "accel_z"]}
     units["auxiliary"] = {"temperature": NOISE[:, 5]}
