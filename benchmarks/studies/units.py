@@ -156,15 +156,15 @@ def judged(facts: Any, true: Pair, label: Pair, sensors: set[str]) -> Said:
     """What is said of the unit of each sensor."""
     found = {}
     for sensor, unit, own in zip(("gyro", "accel"), true, label, strict=True):
-        texts = [fact.text for fact in facts if fact.kind == f"{sensor} unit"]
-        advice = [text.partition("; ")[2] for text in texts]
-        named = "probably counts" if unit == "counts" else f"pass --{sensor}-unit {unit.replace('²', '^2')}"
-        proposed = [text.partition(", or")[0] for text in advice]
+        doubts = [fact for fact in facts if fact.kind == f"{sensor} unit"]
+        named = f"pass --{sensor}-unit {unit.replace('²', '^2')},"
         if sensor in sensors and unit == own:
-            found[sensor] = "doubted" if texts else "believed"
+            found[sensor] = "doubted" if doubts else "believed"
+        elif sensor in sensors and unit == "counts":
+            found[sensor] = "named" if any("counts" in doubt.meaning for doubt in doubts) else "missed"
         elif sensor in sensors:
-            right = any(text.endswith(named) or "counts" in named in text for text in proposed)
-            found[sensor] = "named" if right else "doubted" if texts else "missed"
+            right = any(f"{doubt.remedy},".startswith(named) for doubt in doubts)
+            found[sensor] = "named" if right else "doubted" if doubts else "missed"
     return found
 
 
