@@ -323,7 +323,9 @@ def _unit_option(sensor: Sensor, text: str, columns: Sequence[Column], samples: 
     found, why = "".join(near), "if that is meant"
     own = [x for column, x in zip(columns, samples, strict=False) if column.sensor == sensor]
     if sensor == "accel" and len(own) == len("xyz") and all(x.dtype.kind in "fiu" for x in own):
-        mean = float(np.linalg.norm([np.nanmean(x) for x in own]))
+        # Of a damaged file values may overflow.
+        with np.errstate(over="ignore", invalid="ignore"):
+            mean = float(np.linalg.norm([np.nanmean(x) for x in own]))
         off = {unit: abs(unit_scale(unit) * mean / STANDARD_GRAVITY - 1.0) for unit in _GRAVITY_IN}
         best = min(off, key=lambda unit: off[unit])
         if off[best] < _ABOUT_GRAVITY:
