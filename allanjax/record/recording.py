@@ -26,7 +26,7 @@ from allanjax.record.completion import (
 )
 from allanjax.record.io.kinds import of_one_kind
 from allanjax.record.io.layout import Layout
-from allanjax.record.io.memory import columns_of, real_numbers, table_of, table_of_array
+from allanjax.record.io.memory import columns_of, real_numbers, table_of_array, table_of_frame
 from allanjax.record.io.options import GapChoice, ReadOptions
 from allanjax.record.io.record import Record, notes_on_part
 from allanjax.record.io.table import Table
@@ -215,10 +215,11 @@ class Recording(ByValue):
         Raises:
             RecordingError, UnitError: as for `read`.
         """
-        if columns_of(frame) is None:
+        columns = columns_of(frame)
+        if columns is None:
             raise RecordingError(f"a {type(frame).__name__} is no data frame; give columns by name")
         options = ReadOptions(rate, gyro_unit, accel_unit, names, gaps=gaps)
-        return recording_of(table_of(frame, options), "", options)
+        return recording_of(table_of_frame(columns), "", options)
 
     def select(self, *keys: str) -> "Recording":
         """Recording of the named axes, in this order; `gyro` or `accel` is all axes of that sensor.
@@ -232,7 +233,8 @@ class Recording(ByValue):
             for dead in self.dead:
                 if key == dead.axis.name:
                     raise source.error(f"{key} was left out: {dead.reason}")
-            found = [i for i, axis in enumerate(self.axes) if key in (axis.name, axis.sensor)]
+            found = [i for i, axis in enumerate(self.axes) if axis.name == key]
+            found = found or [i for i, axis in enumerate(self.axes) if axis.sensor == key]
             if not found:
                 raise source.error(f"no axis {key!r}; axes are {', '.join(self.names)}")
             chosen += [i for i in found if i not in chosen]

@@ -103,6 +103,12 @@ def test_a_recording_comes_back_from_its_frame(recording, si, tmp_path):
     assert (chosen.names, chosen.rate) == (("gyro_z",), pytest.approx(123.4567))
 
 
+def test_the_name_of_an_axis_wins_over_that_of_a_sensor():
+    made = aj.Recording.from_array(NOISE[:, :2], 50.0, gyro_unit="deg/s", names=["gyro", "gyro_1"])
+    assert made["gyro"].names == ("gyro",)
+    assert made["gyro_1"].names == ("gyro_1",)
+
+
 def test_a_recording_is_made_of_its_parts_in_their_order():
     """Later fields come after those that users may give by position."""
     made = aj.Recording.from_array(NOISE[:, :1], 50.0, gyro_unit="deg/s")

@@ -11,7 +11,7 @@ from jaxtyping import ArrayLike, Float
 from allanjax.base.errors import AllanjaxError
 from allanjax.record.columns import names_of
 from allanjax.record.io import table_at
-from allanjax.record.io.memory import columns_of, samples_in, table_of
+from allanjax.record.io.memory import is_frame, samples_in, table_of
 from allanjax.record.io.options import GapChoice, ReadOptions
 from allanjax.record.recording import Recording, recording_of
 from allanjax.record.validation import Source, as_columns, check_rate, check_values
@@ -84,8 +84,8 @@ def samples_of(
     Raises:
         RecordingError, UnitError, AllanjaxError: as for `as_recording`; another shape.
     """
-    bare = gyro_unit is accel_unit is names is None and not isinstance(data, Recording | str | os.PathLike)
-    if not bare or columns_of(data) is not None:
+    named = is_frame(data) or isinstance(data, Recording | str | os.PathLike)
+    if named or not gyro_unit is accel_unit is names is None:
         return as_recording(data, rate, gyro_unit, accel_unit, names)
     values, rate = samples_in(data, rate)
     source = Source("array")

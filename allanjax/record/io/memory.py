@@ -23,13 +23,18 @@ def table_of(data: Any, options: ReadOptions) -> Table:
     """
     columns = columns_of(data)
     if columns is not None:
-        return Table.of(tuple(columns.values()), tuple(columns), Source("data frame"))
+        return table_of_frame(columns)
     values, _ = samples_in(data, options.rate)
     if options.gyro_unit is options.accel_unit is options.columns is None:
         raise AllanjaxError(
             'an array needs the unit of its samples: pass gyro_unit= or accel_unit=, e.g. gyro_unit="deg/s"'
         )
     return table_of_array(values, options.columns, options, Source("array"))
+
+
+def table_of_frame(columns: Mapping[str, np.ndarray]) -> Table:
+    """Return the table of a data frame's columns."""
+    return Table.of(tuple(columns.values()), tuple(columns), Source("data frame"))
 
 
 def table_of_array(
@@ -58,9 +63,15 @@ def table_of_array(
     check_names(names, "names=", source)
     if len(names) != len(columns):
         raise source.error(f"{len(names)} names for {len(columns)} columns; give one per column in names=")
+    # A table may have other columns beside axes, an array may not.
     axes_of([recognise(label) for label in names], options.units, source)
     table = Table.of((*columns, *extra.values()), (*names, *extra), source, notes=notes)
     return replace(table, auxiliary=frozenset(extra), complete=True)
+
+
+def is_frame(data: Any) -> bool:
+    """Whether data are a data frame or a mapping, whose columns have names."""
+    return isinstance(data, Mapping) or hasattr(data, "columns")
 
 
 def columns_of(data: Any) -> dict[str, np.ndarray] | None:
