@@ -311,7 +311,7 @@ def allan_of(recording: Recording, options: CurveOptions = CurveOptions()) -> Al
         if curve.estimator == "exact":
             there = len(curve._differences(len(values))[0])
             own = replace(options, cluster_times=curve.cluster_time[:there])
-        found = _curve(Recording(values, recording.rate, recording.axes), own)
+        found = _curve(Samples(values, recording.rate), own)
         there = len(found.count)
         squares[:there] += found.variance * found.count[:, None]
         total[:there] += found.count

@@ -16,7 +16,8 @@ _SUPERSCRIPT = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 
 # Control characters, halves of characters that a file system hands over, and marks that turn text around.
 _UNPRINTABLE = re.compile("[\x00-\x1f\x7f-\x9f\ud800-\udfff\u202a-\u202e\u2066-\u2069]")
-# An option of reading in a message, with its value if it has one; what is in quotes is not ours.
+# An option of reading in a message, with its value if it has one; or text in quotes, such as the name of a
+# column, in which nothing is an option.
 _OPTION = re.compile(
     r"(?<![\w=])(?:'[^']*'|\"[^\"]*\")"
     r"|\b(rate|(?:gyro|accel|time)_unit|columns|time|start|stop|topic|instance|gaps|force)="
@@ -45,6 +46,11 @@ def with_commands(message: str) -> str:
         return f"{found[0]} ({f'--{found[1]} '.replace('_', '-')}{value}".rstrip() + ")"
 
     return _OPTION.sub(both, message)
+
+
+def clauses(*parts: str) -> str:
+    """Return the parts that are not empty as clauses of one sentence."""
+    return "; ".join(filter(None, parts))
 
 
 def format_with_error(value: float, std: float) -> str:

@@ -30,14 +30,13 @@ from allanjax.base.equality import ByValue
 from allanjax.base.errors import AllanjaxError, RecordingError
 from allanjax.base.normal import ONE_SIDED_95, TWO_SIDED_68, TWO_SIDED_95
 from allanjax.base.tables import Column, Tabled, columns_from
-from allanjax.base.wording import duration, finite_or_none, plain, record_size, significant
+from allanjax.base.wording import clauses, duration, finite_or_none, plain, record_size, significant
 from allanjax.estimate.evidence import Ramps, bound, information, power_fits
 from allanjax.estimate.inference import estimate_of
 from allanjax.estimate.spectral.components import columns_of
 from allanjax.estimate.spectral.fit import chi_squared
 from allanjax.inspection import Inspection, inspect
 from allanjax.inspection.checks import Line, Verdict, lines_of, worst
-from allanjax.inspection.facts import clauses
 from allanjax.inspection.spectral import bandwidth_in, spectrum_of
 from allanjax.noise.estimate import Estimate
 from allanjax.noise.model import Model

@@ -87,6 +87,7 @@ from allanjax.record.held import between_changes
 from allanjax.record.io.given import RecordingLike, as_recording
 from allanjax.record.io.options import GapChoice
 from allanjax.record.recording import Axis, Recording
+from allanjax.record.shapes import Which
 from allanjax.spectrum.cosine import cosine_transform, fast_length, joint_statistics, ramp_column
 from allanjax.spectrum.peaks import MEDIAN, lines_in
 
@@ -228,7 +229,13 @@ def fit_inspected(
             quiet = _with_quiet_segments(quiet, len(recording.others))
         if quiet.others:
             quiet = _joined(quiet, model or Model(()), objective, channels)
-        found = _widely(quiet, model, objective, channels, plain, wavelet)
+        # The exact likelihood leaves out missing samples by itself.
+        missing = None if objective == "exact" else quiet.missing
+        if missing is not None:
+            quiet = dataclasses.replace(quiet, missing=None)
+        found = _fitted(quiet, model, objective, channels, plain, wavelet)
+        if missing is not None:
+            found = _widened(found, missing)
     return with_what_was_seen(found, seen)
 
 
@@ -240,20 +247,9 @@ def _refused(recording: Recording, seen: Inspection, model: Model | None, object
     return Fit(seen.name, template, curve, none, notes, objective, dead=recording.dead)
 
 
-def _widely(
-    quiet: Recording,
-    model: Model | None,
-    objective: Objective,
-    regressors: Regressors,
-    plain: bool,
-    wavelet: str,
-) -> Fit:
-    """Fit of all samples, with intervals that allow for those that were missing."""
-    if quiet.missing is None or objective == "exact":
-        return _fitted(quiet, model, objective, regressors, plain, wavelet)
-    # The record is fitted as if complete; then intervals are widened.
-    complete, by = dataclasses.replace(quiet, missing=None), widening(quiet.missing)
-    found = _fitted(complete, model, objective, regressors, plain, wavelet)
+def _widened(found: Fit, missing: Which) -> Fit:
+    """Fit of a record as if it were complete, with intervals that allow for the samples that were missing."""
+    by = widening(missing)
     curve = dataclasses.replace(found.curve, edf=found.curve.edf / by**2)
     results = tuple(map(AxisFit.widened, found.results, by.tolist()))
     return dataclasses.replace(found, curve=curve, results=results)

@@ -17,7 +17,15 @@ from allanjax.base.equality import ByValue
 from allanjax.base.errors import AllanjaxError, FitError
 from allanjax.base.late import presented
 from allanjax.base.tables import Column, PerAxis, as_text, column, columns_from, tables_of
-from allanjax.base.wording import chi_squared, duration, format_with_error, plain, record_size, significant
+from allanjax.base.wording import (
+    chi_squared,
+    clauses,
+    duration,
+    format_with_error,
+    plain,
+    record_size,
+    significant,
+)
 from allanjax.estimate.likely_models import Statement, exact_model
 from allanjax.estimate.misfit import Misfit, deviation
 from allanjax.inspection.facts import Fact, listed, warnings_of, why_no_measurement
@@ -381,7 +389,7 @@ class AxisFit(ByValue, AxisEstimates):
         for c in self._coefficients.values():
             varies = "" if c.variation is None else str(c.variation)
             known += [f"{c.symbol} {varies}"] if varies else []
-        return "; ".join(filter(None, (self.verdict, *known, self.correction, self.level)))
+        return clauses(self.verdict, *known, self.correction, self.level)
 
     def plot(self, path: str | os.PathLike[str] | None = None, *, ax: Axes | None = None) -> Figure:
         """Draw the axis's Allan deviations, the model and its terms; see `plot_allan`."""
@@ -662,4 +670,4 @@ def detail(estimate: Estimate, in_unit: str | None = None) -> tuple[str, str, st
         elif c.source == "curve":
             reason = "no interval"
     unit = "" if c.unit == "1" or not text else f" {c.unit}"
-    return c.axis.name, c.title, text + unit, "; ".join(filter(None, (reason, c.remark)))
+    return c.axis.name, c.title, text + unit, clauses(reason, c.remark)

@@ -12,8 +12,8 @@ from typing import Literal, get_args
 import numpy as np
 
 from allanjax.base.earth import STANDARD_GRAVITY as _G
-from allanjax.base.wording import duration, plain
-from allanjax.inspection.facts import Fact, amount, clauses
+from allanjax.base.wording import clauses, duration, plain
+from allanjax.inspection.facts import Fact, amount
 from allanjax.inspection.first_look import Inspection
 from allanjax.inspection.plausible import describe_jitter, temperatures
 from allanjax.inspection.units import groups

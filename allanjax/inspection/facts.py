@@ -9,7 +9,7 @@ from typing import Literal, get_args
 import numpy as np
 
 from allanjax.base.equality import ByValue
-from allanjax.base.wording import plain
+from allanjax.base.wording import clauses, plain
 from allanjax.record.recording import Axis
 from allanjax.record.units import rate_unit_of
 
@@ -76,16 +76,6 @@ class Fact(ByValue):
     def grave(self) -> bool:
         """Whether the coefficients of the affected axes are not a measurement of the sensor."""
         return self.consequence == NOT_A_MEASUREMENT
-
-
-def clauses(*parts: str) -> str:
-    """Return the parts that are not empty as clauses of one sentence."""
-    return "; ".join(filter(None, parts))
-
-
-def names_of(axes: Iterable[Axis]) -> tuple[str, ...]:
-    """Return the names of axes."""
-    return tuple(axis.name for axis in axes)
 
 
 def ordered(facts: Iterable[Fact]) -> tuple[Fact, ...]:

@@ -14,7 +14,7 @@ from allanjax.base.errors import expect
 from allanjax.base.threads import for_each
 from allanjax.base.wording import record_size
 from allanjax.inspection.events import Event
-from allanjax.inspection.facts import NOT_A_MEASUREMENT, Fact, grid, names_of, ordered, span, warnings_of
+from allanjax.inspection.facts import NOT_A_MEASUREMENT, Fact, grid, ordered, span, warnings_of
 from allanjax.inspection.outliers import heavy_tails, spike_facts, spikes_in
 from allanjax.inspection.plausible import (
     Ends,
@@ -41,6 +41,7 @@ from allanjax.inspection.windows import (
     motions,
     rms_within,
 )
+from allanjax.record.columns import names_of
 from allanjax.record.completion import bridged, completed
 from allanjax.record.recording import Axis, DeadAxis, Recording
 from allanjax.record.units import SENSORS

@@ -10,8 +10,9 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from allanjax.base.wording import duration, plain
-from allanjax.inspection.facts import NOT_A_MEASUREMENT, Fact, amount, names_of
+from allanjax.inspection.facts import NOT_A_MEASUREMENT, Fact, amount
 from allanjax.inspection.windows import OfAxes, Sampled, Samples, Values, Windows, mean_square, rms_within
+from allanjax.record.columns import names_of
 from allanjax.record.completion import Gap, widening
 from allanjax.record.io.grid import format_jitter
 from allanjax.record.recording import Axis, DeadAxis, Recording

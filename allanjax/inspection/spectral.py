@@ -13,9 +13,10 @@ from scipy.fft import irfft, rfft
 from allanjax.base.chi_squared import quantile
 from allanjax.base.threads import for_each
 from allanjax.base.wording import plain
-from allanjax.inspection.facts import Fact, listed, names_of
+from allanjax.inspection.facts import Fact, listed
 from allanjax.inspection.plausible import lattice
 from allanjax.inspection.windows import Samples, Values, runs
+from allanjax.record.columns import names_of
 from allanjax.record.recording import Axis
 
 # Samples of the longest segment, and fewest of one that shows lines; fewest segments.

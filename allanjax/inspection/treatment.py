@@ -16,12 +16,12 @@ from allanjax.inspection.facts import (
     amount,
     grid,
     listed,
-    names_of,
     seconds,
     span,
 )
 from allanjax.inspection.levels import levels_of
 from allanjax.inspection.windows import Sampled, Windows, groups_of
+from allanjax.record.columns import names_of
 from allanjax.record.completion import MOST_MISSING
 
 # Least share of the recording that coefficients may be estimated from.

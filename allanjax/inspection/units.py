@@ -18,8 +18,9 @@ from jaxtyping import Float
 
 from allanjax.base.earth import EARTH_RATE, STANDARD_GRAVITY
 from allanjax.base.wording import plain
-from allanjax.inspection.facts import NOT_A_MEASUREMENT, Consequence, Fact, names_of
+from allanjax.inspection.facts import NOT_A_MEASUREMENT, Consequence, Fact
 from allanjax.inspection.windows import DEG, OfAxes, Sampled, Windows, mean_squares
+from allanjax.record.columns import names_of
 from allanjax.record.recording import Axis, scales_of
 from allanjax.record.units import COUNT_SIZES, SAMPLE_UNITS, SENSORS, Sensor, parse_sample_unit, unit_scale
 
@@ -309,7 +310,8 @@ def _doubts(shown: Sequence[_Shown]) -> list[Fact]:
         impossible = bool(_normalised(alone[k] + np.log(trusting))[0] < _TRUSTED)
         found = _finding(x) + "".join(_beside(shown[j], odds[j]) for j in range(len(shown)) if j != k)
         meaning, remedy = _advice(x, odds[k], impossible)
-        # The mean of few accelerometers depends on their tilt; what is given is not refused for the others.
+        # The mean of one or two accelerometers depends on their tilt. A unit that the user gave is refused if
+        # the sensor itself cannot have it, whatever the other sensor shows.
         tilted = x.sensor == "accel" and x.mean is not None and len(x.axes) < 3
         sure = not tilted and (impossible or x.given is None)
         means: Consequence = NOT_A_MEASUREMENT if sure else "none"

@@ -17,7 +17,8 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from allanjax.base.wording import plain
-from allanjax.inspection.facts import NOT_A_MEASUREMENT, Fact, amount, names_of
+from allanjax.inspection.facts import NOT_A_MEASUREMENT, Fact, amount
+from allanjax.record.columns import names_of
 from allanjax.record.completion import runs_of
 from allanjax.record.recording import Axis
 from allanjax.record.units import Sensor

@@ -4,7 +4,7 @@ import difflib
 import os
 import re
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, ClassVar, Literal, Self, cast
@@ -388,8 +388,8 @@ class OfAxes:
         raise NotImplementedError
 
 
-def names_of(axes: Sequence[Axis] | None, count: int) -> tuple[str, ...]:
-    """Names of the axes; "0", "1", … for the columns of an array without axes."""
+def names_of(axes: Iterable[Axis] | None, count: int = 0) -> tuple[str, ...]:
+    """Names of the axes; "0", "1", … for the `count` columns of an array without axes."""
     return tuple(map(str, range(count)) if axes is None else (axis.name for axis in axes))
 
 

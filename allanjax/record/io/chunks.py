@@ -36,7 +36,7 @@ from allanjax.record.validation import (
     usable,
 )
 
-# So many time stamps before a chunk are checked together with those of the chunk.
+# The last time stamps before a chunk, so many, are checked together with those of the chunk.
 _BEFORE = 1024
 
 

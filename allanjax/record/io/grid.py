@@ -396,13 +396,13 @@ class Stamps:
         may_fill = not gaps and not self.more
         if self._lost and may_fill:
             return self._missing(self._lost)
-        fill = "if samples are missing, fill them in with gaps='fill'; "
+        evenly = "" if self._lost else self._evenly()
+        fill = "if samples are missing, fill them in with gaps='fill'; " if drawn and may_fill else ""
         return (
             f"column {self.label!r} is irregular: the mean interval is {np.mean(self._intervals):.6g} s, the "
             f"rms jitter {np.std(self._intervals):.3g} s, and {percent(float(np.mean(long)))} of the "
             f"intervals are gaps (longer than {_GAP} times the median); jitter up to {percent(_MAX_JITTER)} "
-            f"is accepted; {'' if self._lost else self._evenly()}{fill if drawn and may_fill else ''}{IGNORE}"
-            "; do not resample, which smooths the noise"
+            f"is accepted; {evenly}{fill}{IGNORE}; do not resample, which smooths the noise"
         )
 
     @cached_property
