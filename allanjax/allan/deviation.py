@@ -95,14 +95,6 @@ class AllanDeviation(ByValue, OfAxes):
         return () if self.determined else ("no intervals without the rate and the length of its record",)
 
     @classmethod
-    def of_pyramid(
-        cls, pyramid: Pyramid, rate: float, axes: tuple[Axis, ...] | None = None
-    ) -> AllanDeviation:
-        """Allan deviations from the sums of a pyramid over samples at `rate` [Hz]."""
-        of = np.sqrt(pyramid.variance()), pyramid.cluster_size, pyramid.n, rate
-        return replace(cls.under_white_noise(*of, axes=axes, estimator="pyramid"), count=pyramid.count)
-
-    @classmethod
     def under_white_noise(
         cls,
         deviation: Float[np.ndarray, "m axes"],
@@ -301,10 +293,15 @@ class CurveOptions:
 def allan_of(recording: Recording, options: CurveOptions = CurveOptions()) -> AllanDeviation:
     """Allan deviation of all segments of a recording, allowing for missing samples; see `allan_deviation`."""
     curve = _curve(recording, options)
+    if recording.others:
+        curve = _with_segments(curve, recording, options)
     if recording.missing is not None:
         curve = replace(curve, edf=curve.edf / widening(recording.missing) ** 2)
-    if not recording.others:
-        return curve
+    return curve
+
+
+def _with_segments(curve: AllanDeviation, recording: Recording, options: CurveOptions) -> AllanDeviation:
+    """The longest segment's curve, with the differences within the other segments averaged in."""
     squares, total = curve.variance * curve.count[:, None], curve.count.copy()
     for values in recording.others:
         own = options
@@ -322,18 +319,19 @@ def allan_of(recording: Recording, options: CurveOptions = CurveOptions()) -> Al
 
 def _curve(data: Recording | Samples, options: CurveOptions) -> AllanDeviation:
     """Allan deviation of samples without gaps, of a recording the longest segment's."""
-    values, rate = data.values, data.rate
-    if options.estimator == "pyramid":
-        return AllanDeviation.of_pyramid(Pyramid.of(values), rate, data.axes)
-    n = len(values) - (options.data_type == "phase")
-    sizes = estimators.cluster_sizes(n, rate, options.cluster_times, options.kind)
+    n = len(data.values) - (options.data_type == "phase")
     kind: dict[str, Any] = {"kind": options.kind, "overlapping": options.overlapping}
-    variance = estimators.allan_variance_estimates(values, sizes, rate, data_type=options.data_type, **kind)
-    # A sample that is not finite makes variances of its axis NaN: checking the samples first would take
-    # longer.
-    if not np.isfinite(variance).all():
-        estimators.check_finite(values)
-    return AllanDeviation.under_white_noise(np.sqrt(variance), sizes, n, rate, axes=data.axes, **kind)
+    if options.estimator == "pyramid":
+        pyramid = Pyramid.of(data.values)
+        sizes, variance = pyramid.cluster_size, pyramid.variance()
+    else:
+        sizes = estimators.cluster_sizes(n, data.rate, options.cluster_times, options.kind)
+        variance = estimators.allan_variance_estimates(
+            data.values, sizes, data.rate, data_type=options.data_type, **kind
+        )
+    return AllanDeviation.under_white_noise(
+        np.sqrt(variance), sizes, n, data.rate, axes=data.axes, estimator=options.estimator, **kind
+    )
 
 
 # Windows of a record by default, fewest samples of one, and least degrees of freedom that are kept.

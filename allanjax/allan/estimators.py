@@ -179,6 +179,9 @@ def allan_variance_estimates(
     The values are rates, or phases (one more than the rate samples) in the rate's unit times seconds, which
     need the rate [Hz]. Each cluster size [samples] must leave a difference, which is not checked. Blocks of
     the record are shared out among the cores. Besides the samples, their phases take memory.
+
+    Raises:
+        AllanjaxError: a sample that is not finite.
     """
     table = np.asarray(values)
     n, axes = len(table) - (data_type == "phase"), table.shape[1]
@@ -202,7 +205,12 @@ def allan_variance_estimates(
     sums = np.reshape(parts, (axes, len(shares), -1)).sum(axis=1).T[: len(sizes)]
     sums = sums * (rate**2 if data_type == "phase" else 1.0)
     scale = 6.0 if kind == "hadamard" else 2.0
-    return sums / (scale * difference_count(n, sizes, kind, overlapping) * sizes**2.0)[:, None]
+    variance = sums / (scale * difference_count(n, sizes, kind, overlapping) * sizes**2.0)[:, None]
+    # A sample that is not finite makes variances of its axis NaN: checking the samples first would take
+    # longer.
+    if not np.isfinite(variance).all():
+        check_finite(values)
+    return variance
 
 
 # Samples may be infinite; all phases are NaN then.

@@ -208,7 +208,11 @@ class AllanAccumulator:
             AllanjaxError: fewer than two samples, or only dead axes.
         """
         living = self._living()
-        return AllanDeviation.of_pyramid(living._pyramid, self.rate, living.axes)
+        pyramid, axes = living._pyramid, living.axes
+        of = np.sqrt(pyramid.variance()), pyramid.cluster_size, pyramid.n, self.rate
+        curve = AllanDeviation.under_white_noise(*of, axes=axes, estimator="pyramid")
+        # How many differences there are depends on where in the recording the stream begins.
+        return dataclasses.replace(curve, count=pyramid.count)
 
     def inspect(self, *, as_is: bool = False, vibrating: bool = False) -> Inspection:
         """Inspection of the samples so far, as `allanjax.inspect` does for a recording.
