@@ -81,6 +81,16 @@ def test_stamps_of_arrival_scatter_about_even_times(read):
         is_right(read(frame(times, samples(200.0))), 200.0)
 
 
+def test_a_clock_may_wander_while_samples_arrive_in_bursts(read):
+    """By 0.6 ‰ of the record; a pause of 2 % may be one in which samples were lost, and is not closed up."""
+    number, rng = np.arange(N), np.random.default_rng(4)
+    bursts = np.ceil((number + 1) / 8.0) * 0.04 + np.repeat(0.002 * rng.random(N // 8), 8)
+    wander = 3e-4 * N / 200.0 * np.sin(2.0 * np.pi * number / N)
+    is_right(read(frame(bursts + wander, samples(200.0))), 200.0)
+    paused = bursts + 0.02 * N / 200.0 * (number > N // 2)
+    refused(lambda: read(frame(paused, samples(200.0))), "")
+
+
 @pytest.mark.parametrize("after", [100.0, 160.0, 250.0])
 def test_pieces_of_different_rates_are_named_and_can_be_read(read, after):
     first = 3000

@@ -50,6 +50,9 @@ _SLACK = 1e-3
 _PARTS, _BOUNDED = 16, 0.5
 # So many stamps are needed to tell this, a quarter of which deviate by this part of an interval.
 _FEWEST, _SCATTER = 512, 0.1
+# Stamps are times of arrival in bursts if the usual interval is below this part of the mean one. They may
+# wander by so much of the record, as their clock does; no more can be missing.
+_IN_BURSTS, _WANDER = 0.5, 1e-3
 # Parts in which the interval is compared to find pieces of different rates, and the most pieces.
 _BLOCKS, _PIECES = 64, 5
 
@@ -285,6 +288,9 @@ class Stamps:
         means = off[: n // _PARTS * _PARTS].reshape(_PARTS, -1).mean(axis=1)
         if usual > _SCATTER * interval and float(np.std(means)) < _BOUNDED * float(np.std(off)):
             return f"for even samples, whose stamps scatter by {_short(float(np.std(off)))} about even times"
+        wander = float(np.ptp(means))
+        if self._typical < _IN_BURSTS * interval and wander < _WANDER * n * interval:
+            return f"for even samples, which arrive in bursts and wander by {_short(wander)} about even times"
         return ""
 
     @cached_property
