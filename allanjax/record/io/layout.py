@@ -22,6 +22,7 @@ from allanjax.record.columns import (
 )
 from allanjax.record.io.options import ReadOptions
 from allanjax.record.io.table import Columns, Table, is_numeric
+from allanjax.record.io.times import unevenness
 from allanjax.record.shapes import Cells
 from allanjax.record.units import SENSORS, Sensor, is_unit, unit_scale
 from allanjax.record.validation import check_names
@@ -276,26 +277,13 @@ def _clock(
 
     def merit(choice: tuple[Column, ...]) -> tuple[int, int, bool]:
         # A pair is one clock; the stamp of a header is the time of sampling, others may be that of arrival.
-        return len(choice), -_unevenness(first[choice[0].index]), "header" in choice[0].label.lower()
+        return len(choice), -unevenness(first[choice[0].index]), "header" in choice[0].label.lower()
 
     best = max(choices, key=merit)
     ignored = [column.label for column in candidates if column not in best]
     if not ignored:
         return best, []
     return best, [f"times from {' and '.join(c.label for c in best)}; {', '.join(ignored)} ignored"]
-
-
-def _unevenness(stamps: Cells) -> int:
-    """Return how uneven stamps are: 0 if intervals agree within a fifth, 1 if not, 2 if they never change."""
-    if stamps.dtype.kind == "M":
-        stamps = stamps.astype(np.int64)
-    if not is_numeric(stamps) or len(stamps) < 3:
-        return 0
-    intervals = np.diff((stamps - stamps[0]).astype(float))
-    typical = float(np.median(intervals))
-    if not intervals.any():
-        return 2
-    return int(not typical > 0.0 or np.mean(abs(intervals / typical - 1.0) > 0.2) > 0.1)
 
 
 def _check_is_recording(

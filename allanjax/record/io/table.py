@@ -42,6 +42,7 @@ class Table:
         units: unit of each sensor as the format defines it, for use without a unit in labels or options.
         auxiliary: labels of columns that are no axes, whatever their names.
         complete: whether all axes were named by the caller, so that no unit is meant for an unknown column.
+        is_apart: whether the format keeps sensors apart, so that no column names the sensors of rows.
     """
 
     rows: Callable[[int], Iterator[Columns]]
@@ -53,6 +54,7 @@ class Table:
     units: Mapping[Sensor, str] = field(default_factory=dict)
     auxiliary: frozenset[str] = frozenset()
     complete: bool = False
+    is_apart: bool = False
 
     @classmethod
     def of(
@@ -111,8 +113,10 @@ class Format:
 
     def table(self, path: Path, source: Source, options: ReadOptions) -> Table:
         """Return the table of a file of this kind."""
-        for name in CHOICES:
-            if name not in self.choices and getattr(options, name) is not None:
+        # Rows of a table may be of several sensors.
+        refused = [name for name in CHOICES if name not in self.choices and (self.choices or name == "topic")]
+        for name in refused:
+            if getattr(options, name) is not None:
                 raise source.error(f"a file of this kind ({self.name}) has no {name}s; omit {name}=")
         return self.open(path, source, **{name: getattr(options, name) for name in self.choices})
 

@@ -192,6 +192,19 @@ def is_missing(cell: object) -> bool:
     return cell is None or bool(cell != cell)
 
 
+def unevenness(stamps: Cells) -> int:
+    """Return how uneven stamps are: 0 if intervals agree within a fifth, 1 if not, 2 if they never change."""
+    if stamps.dtype.kind == "M":
+        stamps = stamps.astype(np.int64)
+    if not is_numeric(stamps) or len(stamps) < 3:
+        return 0
+    intervals = np.diff((stamps - stamps[0]).astype(float))
+    typical = float(np.median(intervals))
+    if not intervals.any():
+        return 2
+    return int(not typical > 0.0 or np.mean(abs(intervals / typical - 1.0) > 0.2) > 0.1)
+
+
 def _date_format(text: str) -> str:
     """Return the format of a date, "ISO8601" for most; "" for a text that is no date."""
     if not re.search(r"\d{2,4}[-/. ]|\d{8}T", text):
