@@ -170,6 +170,12 @@ def with_unit(name: str, unit: str | None) -> str:
     return f"{name} [{unit}]" if unit and split_unit(name)[1] is None else name
 
 
+def elements_of(label: str, count: int) -> list[str]:
+    """Return labels of the elements of an array: `gyro_x [deg/s]` … of three, else `gyro_0 [deg/s]` …."""
+    stem, unit = split_unit(label)
+    return [with_unit(f"{stem}_{end}", unit) for end in ("xyz" if count == 3 else range(count))]
+
+
 def _words(stem: str) -> str:
     """Return a name as lower-case words joined by underscores, e.g. for `GyroX`, `gyro.x` or `gyro[0]`."""
     stem = re.sub(r"(?<=[a-z])(?=[A-Z])", "_", stem)

@@ -522,6 +522,7 @@ CALLS = [
     (lambda f: aj.fit(NOISE, **UNITS), "rate=", aj.AllanjaxError),
     (lambda f: aj.fit(["a", "b"], rate=1.0, **UNITS), "allanjax.read", aj.AllanjaxError),
     (lambda f: aj.Recording.from_dataframe(7), "columns by name"),
+    (lambda f: aj.fit(pd.DataFrame({"gyro [deg/s]": [[1.0], [2.0, 3.0]]})), "'gyro [deg/s]'|column per axis"),
     (lambda f: made(NOISE * [1, 1, 1, 1, 1, 0], 50.0, **UNITS).select("accel_z"), "accel_z was left out"),
     (lambda f: aj.allan_deviation(RECORDING)["mag"], "mag|gyro_x", aj.AllanjaxError),
     (lambda f: aj.read(f / "none.csv"), "no such file"),

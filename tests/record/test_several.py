@@ -80,3 +80,76 @@ def test_a_column_that_does_not_tell_sensors_apart_does_no_harm(written, name):
     np.testing.assert_allclose(recording.own_values, samples(0), rtol=1e-9)
     assert list(aj.read_chunks(path, chunk=500))
     refused(lambda: aj.read(path, instance=0), "no column names several sensors|omit instance=")
+
+
+GYRO, ACCEL = samples(3), samples(4) + np.array([0.0, 0.0, 9.5])
+TIME, UNITS = np.round(np.arange(N) / 100.0, 2), {"gyro_unit": "rad/s", "accel_unit": "m/s^2"}
+
+
+def is_both(recording):
+    assert recording.rate == pytest.approx(100.0, rel=1e-6)
+    names = [f"{sensor}_{axis}" for sensor in ("gyro", "accel") for axis in "xyz"]
+    own = dict(zip(recording.names, recording.values.T, strict=True))
+    np.testing.assert_allclose([own[name] for name in names], np.hstack([GYRO, ACCEL]).T, rtol=1e-9)
+
+
+def structured(path):
+    fields = [("stamp [s]", "f8"), ("w", "f8", 3), ("acc", "f8", 3)]
+    np.save(path, np.array([*zip(TIME, GYRO, ACCEL, strict=True)], fields))
+
+
+def of_lists(path):
+    frame = pd.DataFrame({"t [s]": TIME, "gyro": [*GYRO.tolist()], "accel": [*ACCEL.tolist()]})
+    frame.to_parquet(path)
+
+
+def of_cells(form):
+    def write(path):
+        cells = [[form.format(*row) for row in x.tolist()] for x in (GYRO, ACCEL)]
+        rows = [",".join(map(str, row)) for row in zip(TIME.tolist(), *cells, strict=True)]
+        path.write_text("\n".join(["timestamp,gyro,accel", *rows, ""]))
+
+    return write
+
+
+@pytest.mark.parametrize(
+    ("name", "write"),
+    [
+        ("imu.npy", structured),
+        ("imu.parquet", of_lists),
+        ("quoted.csv", of_cells('"[{}, {}, {}]"')),
+        ("bare.csv", of_cells("[{},{},{}]")),
+        ("numpy.csv", of_cells("[{} {} {}]")),
+        ("tuple.csv", of_cells('"({}, {}, {})"')),
+    ],
+)
+def test_cells_of_three_numbers_are_three_axes(tmp_path, name, write):
+    write(tmp_path / name)
+    is_both(aj.read(tmp_path / name, **UNITS))
+
+
+def test_lists_of_a_data_frame_and_of_other_lengths(tmp_path):
+    is_both(aj.Recording.from_dataframe({"time [s]": TIME, "gyro": GYRO, "accel": ACCEL}, **UNITS))
+    frame = pd.DataFrame({"time [s]": TIME, "gyro": [*GYRO.tolist()], "accel": [*ACCEL.tolist()]})
+    is_both(aj.Recording.from_dataframe(frame, **UNITS))
+    two = frame.assign(gyro=[x[: 2 + k % 2] for k, x in enumerate(GYRO.tolist())])
+    refused(lambda: aj.Recording.from_dataframe(two, **UNITS), "'gyro'|different lengths")
+    two.to_parquet(tmp_path / "two.parquet")
+    refused(tmp_path / "two.parquet", "Parquet|write it again", **UNITS)
+    # Names that fit no number are not taken for those of others.
+    rows = [f'{t},"[{a}, {b}, {c}]",{d}' for t, (a, b, c), (d, _, _) in zip(TIME, GYRO, ACCEL, strict=True)]
+    (tmp_path / "odd.csv").write_text("\n".join(["timestamp,gyro", *rows, ""]))
+    refused(tmp_path / "odd.csv", "columns=", **UNITS, rate=100.0)
+
+
+def test_omega_and_f_are_a_gyro_and_an_accelerometer(tmp_path):
+    """As matrices, or as columns; f alone may be anything."""
+    np.savez(tmp_path / "imu.npz", omega=GYRO, f=ACCEL, t=TIME)
+    labels = ["wx", "wy", "wz", "fx", "fy", "fz"]
+    columns = dict(zip(labels, np.hstack([GYRO, ACCEL]).T, strict=True))
+    pd.DataFrame({"t [s]": TIME, **columns}).to_csv(tmp_path / "imu.csv", index=False)
+    for name in ("imu.npz", "imu.csv"):
+        is_both(aj.read(tmp_path / name, **UNITS))
+        refused(tmp_path / name, "accel_unit=", kind=aj.UnitError, gyro_unit="rad/s")
+    np.savez(tmp_path / "force.npz", f=ACCEL, other=TIME, t=TIME)
+    refused(tmp_path / "force.npz", "no gyro or accelerometer column")

@@ -119,7 +119,20 @@ def _found(table: Table, first: Columns, options: ReadOptions) -> tuple[list[Col
         found = _recognised(names)
         notes.append(f"the columns have no names; they are assumed to be {', '.join(names)}")
     found = [_as_time(column, first[column.index], table) for column in found]
-    return _of_one_sensor(found, options, notes), notes
+    return _of_one_sensor(_with_specific_force(found), options, notes), notes
+
+
+def _with_specific_force(found: list[Column]) -> list[Column]:
+    """Return columns f_x, f_y and f_z beside the three axes of a gyro as those of an accelerometer."""
+    force = {c.name.casefold().replace("_", ""): c for c in found if c.role == "auxiliary"}
+    axes = [column.name for column in found if column.role == "axis"]
+    if not {"fx", "fy", "fz"} <= {*force} or sorted(axes) != ["gyro_x", "gyro_y", "gyro_z"]:
+        return found
+    for axis in "xyz":
+        column = force[f"f{axis}"]
+        named = replace(column, role="axis", sensor="accel", name=f"accel_{axis}")
+        found[found.index(column)] = named if column.unit is None else by_unit(column)
+    return found
 
 
 def _of_one_sensor(found: list[Column], options: ReadOptions, notes: list[str]) -> list[Column]:

@@ -13,6 +13,7 @@ import numpy as np
 from jaxtyping import Float, Shaped
 
 from allanjax.base.errors import AllanjaxError
+from allanjax.record.columns import elements_of
 from allanjax.record.io.options import ReadOptions
 from allanjax.record.shapes import Cells
 from allanjax.record.units import SENSORS, Sensor
@@ -143,6 +144,21 @@ def damage_reported(source: Source, kind: str, remedy: str) -> Iterator[None]:
     except Exception as error:
         reason = " ".join(str(error).split())[:200].rstrip(".") or type(error).__name__
         raise source.error(f"cannot be read as {kind}: {reason}; {remedy}") from error
+
+
+def spread(label: str, values: Cells) -> dict[str, Cells]:
+    """Return the columns of an array [rows, elements] or of cells that are lists; another column as it is.
+
+    Raises:
+        ValueError: the lists differ in length, or hold other values than numbers.
+    """
+    first = next((cell for cell in values if cell is not None), None) if values.dtype.kind == "O" else None
+    if isinstance(first, list | tuple | np.ndarray):
+        missing = [np.nan] * len(first)
+        values = np.array([missing if cell is None else cell for cell in values], float)
+    if values.ndim != 2:
+        return {label: values}
+    return dict(zip(elements_of(label, values.shape[1]), values.T, strict=True))
 
 
 def is_numeric(values: Cells) -> bool:
