@@ -66,7 +66,7 @@ _UNIT_SUFFIXES = {
     "mg": "mg",
     "g": "g",
 }
-# Names of time stamps, alone, with a unit at the end, and of one part of a pair of seconds and nanoseconds.
+# Names of time stamps, alone, with a unit at the end, and of one part of a pair of seconds and parts of them.
 _TIME = re.compile(
     r"(?:.*_)?(?:time|timestamp|time_stamp|stamp)(?:_(?:fine|unix|utc|gps|sample|gyro|gyr|accel|acc|imu))*"
     r"|t|ts|\w*timestamp"
@@ -74,7 +74,7 @@ _TIME = re.compile(
 _TIME_SUFFIX = re.compile(
     r"(.+?)_(s|sec|secs|seconds|ms|msec|us|usec|ns|nsec|nanoseconds|min|minutes|h|hours|days)"
 )
-_TIME_PART = re.compile(r"(.*?)_?(secs?|seconds|nsecs?|nanosecs?|nanoseconds)")
+_TIME_PART = re.compile(r"(.*?)_?((?:n|u|m|nano|micro|milli)?sec(?:ond)?s?)")
 # Names of sample counters, which are times if the rate is known; and clocks of a known unit.
 _COUNTER = re.compile(r"(?:.*_)?(?:packet|sample|frame|message|msg)_?(?:counter|count|number|num|index|nr)")
 _CLOCKS = {"sample_time_fine": "0.1 ms", "millis": "ms", "micros": "us", "nanos": "ns"}
@@ -107,7 +107,7 @@ class Column:
         sensor: sensor of an axis, else None.
         unit: unit that the label states, if any.
         increment: whether the label says that the samples are increments (`delta_angle_x`).
-        time_part: for stamps split over two columns, (common prefix, `s` or `ns`).
+        time_part: for stamps split over two columns, (common prefix, `s`, `ms`, `us` or `ns`).
         index: place in the file, from 0.
     """
 
@@ -213,12 +213,20 @@ def _time(label: str, stem: str, words: str, unit: str | None) -> Column | None:
     suffix, part = _TIME_SUFFIX.fullmatch(words), _TIME_PART.fullmatch(words)
     time_part = None
     if part is not None:
-        time_part = part[1], "ns" if part[2].startswith("n") else "s"
+        time_part = part[1], _unit_of_part(part[2])
     if suffix is not None and _TIME.fullmatch(suffix[1]):
+        if suffix[2] in ("s", "ms", "us", "ns"):
+            time_part = suffix[1], suffix[2]
         return Column(label, "time", stem, unit=unit or suffix[2], time_part=time_part)
     if time_part is not None:
         return Column(label, "time", stem, unit=unit or time_part[1], time_part=time_part)
     return None
+
+
+def _unit_of_part(name: str) -> str:
+    """Return the unit of times with a name such as `usec` or `microseconds`."""
+    prefix = name.partition("sec")[0]
+    return f"{'u' if prefix == 'micro' else prefix[:1]}s"
 
 
 @dataclass(frozen=True)

@@ -207,3 +207,37 @@ def test_what_is_given_is_used_or_refused(read):
     # Columns that are called x, y and z are those of the one sensor whose unit is given.
     named = table.set_axis(["time [s]", "x", "y", "z"], axis=1)
     assert read(named, gyro_unit="deg/s").names == ("gyro_x", "gyro_y", "gyro_z")
+
+
+@pytest.mark.parametrize(
+    ("labels", "size"),
+    [
+        (("sec", "usec"), 1e-6),
+        (("tv_sec", "tv_usec"), 1e-6),
+        (("time_s", "time_ms"), 1e-3),
+        (("seconds", "microseconds"), 1e-6),
+        (("header.stamp.secs", "header.stamp.nsecs"), 1e-9),
+    ],
+)
+def test_seconds_and_parts_of_them_are_one_clock(read, labels, size):
+    """A pause of whole seconds shows in the seconds only; times that are complete are no pair."""
+    ticks = np.rint((0.123 + np.arange(N) / 250.0) / size).astype(np.int64)
+    whole, parts = np.divmod(ticks, round(1.0 / size))
+    x = samples(250.0)
+    recording = read(frame(1_709_290_800 + whole, x, labels[0], **{labels[1]: parts}))
+    is_right(recording, 250.0)
+    assert noted(recording, f"{labels[0]} + {labels[1]}")
+    paused = whole + 7 * (np.arange(N) >= 3000)
+    refused(lambda: read(frame(paused, x, labels[0], **{labels[1]: parts})), "gap of 7.004 s")
+    if labels[0] == "time_s":
+        is_right(read(frame(ticks * size, x, labels[0], **{labels[1]: ticks})), 250.0)
+
+
+def test_a_rate_that_no_sensor_has_puts_the_clock_in_doubt_and_no_unit(tmp_path):
+    path = tmp_path / "imu.csv"
+    frame(4000.0 * np.arange(N), samples(200.0)).to_csv(path, index=False)
+    checks = {c["name"]: c for c in json.loads(run("check", path, "--json").stdout)["checks"][0]["lines"]}
+    assert checks["rate"]["verdict"] == "look"
+    assert "0.00025 Hz" in checks["rate"]["reason"]
+    assert "--time-unit" in checks["rate"]["reason"]
+    assert "cannot be checked" in checks["gyro unit"]["reason"]

@@ -24,7 +24,7 @@ from allanjax.record.io.options import ReadOptions
 from allanjax.record.io.table import Columns, Table, is_numeric
 from allanjax.record.io.times import unevenness
 from allanjax.record.shapes import Cells
-from allanjax.record.units import SENSORS, Sensor, is_unit, unit_scale
+from allanjax.record.units import SENSORS, Sensor, convert, is_unit, unit_scale
 from allanjax.record.validation import check_names
 
 # Entries in a list of columns that skip a column.
@@ -40,7 +40,7 @@ class Layout:
     Attributes:
         columns: columns of the axes.
         axes: these axes, with the units of their samples.
-        clock: columns of the time stamps: none, one, or seconds and nanoseconds.
+        clock: columns of the time stamps: none, one, or whole seconds and parts of them.
         auxiliary: other columns.
         given: sensors whose unit was given, and the factor from their labels' unit to it; 1 without labels.
         notes: assumptions that users should know.
@@ -260,7 +260,7 @@ def _match(table: Table, name: str, by_position: bool) -> tuple[int, ...]:
 def _clock(
     table: Table, found: Sequence[Column], first: Columns, options: ReadOptions
 ) -> tuple[tuple[Column, ...], list[str]]:
-    """Return the column of time stamps, or those of seconds and nanoseconds, and notes; empty without any."""
+    """Return the column of time stamps, or those of a pair, and notes; empty without any."""
     if options.timeless:
         return (), []
     wanted = options.time_column
@@ -283,8 +283,9 @@ def _clock(
     parts = {column.time_part: column for column in candidates if column.time_part is not None}
     choices: list[tuple[Column, ...]] = [(column,) for column in candidates]
     for (prefix, unit), column in parts.items():
-        if unit == "s" and (prefix, "ns") in parts:
-            choices.append((column, parts[prefix, "ns"]))
+        whole = parts.get((prefix, "s"))
+        if unit != "s" and whole is not None and _are_parts(first[whole.index], first[column.index], unit):
+            choices.append((whole, column))
     if not choices:
         return (), []
 
@@ -297,6 +298,13 @@ def _clock(
     if not ignored:
         return best, []
     return best, [f"times from {' and '.join(c.label for c in best)}; {', '.join(ignored)} ignored"]
+
+
+def _are_parts(seconds: Cells, parts: Cells, unit: str) -> bool:
+    """Return whether times are whole seconds, and others, in a unit, always below a second."""
+    if is_numeric(seconds) and (seconds % 1 > 0).any():
+        return False
+    return not is_numeric(parts) or not ((parts < 0) | (parts >= convert(1.0, "s", unit))).any()
 
 
 def _check_is_recording(

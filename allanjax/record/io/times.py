@@ -16,7 +16,7 @@ from allanjax.record.units import convert, is_unit, same_unit
 from allanjax.record.validation import Source
 
 Stamps = Sequence[Cells]
-#: What stamps are: numbers in a unit, seconds and nanoseconds, dates, or times of the day.
+#: What stamps are: numbers in a unit, whole seconds and parts of them, dates, or times of the day.
 Kind = Literal["numbers", "pair", "dates", "clock"]
 
 #: Remedy where stamps are of no use.
@@ -47,7 +47,7 @@ class Clock:
     Attributes:
         columns: columns of the stamps.
         kind: what the stamps are.
-        unit: unit of numbers, "" for others.
+        unit: unit of numbers, or of the parts of seconds, "" for others.
         format: format of dates that are text, as for `datetime.strptime`.
         local: whether dates have no zone, so that they are set when summer time begins or ends.
         notes: assumptions that users should know.
@@ -82,7 +82,8 @@ class Clock:
             RecordingError, UnitError: the unit is unknown, or no stamp is a time.
         """
         if len(columns) == 2:
-            return cls(columns, "pair")
+            assert columns[1].time_part
+            return cls(columns, "pair", columns[1].time_part[1])
         values = first[0]
         if values.dtype.kind == "M":
             return cls(columns, "dates")
@@ -107,9 +108,10 @@ class Clock:
             RecordingError: a stamp is missing, or is no time.
         """
         if self.kind == "pair":
-            pairs = zip(self.columns, stamps, strict=True)
-            whole, parts = (_since_first(values, column.label, source) for column, values in pairs)
-            return whole + 1e-9 * parts, ()
+            whole = _since_first(stamps[0], self.columns[0].label, source)
+            # Parts begin again with each second, whatever a counter does.
+            parts = _differences(stamps[1], self.columns[1].label, source)
+            return whole + convert(parts.astype(float), self.unit, "s"), ()
         values = stamps[0]
         if self.kind == "dates":
             dates = self._dates(values, source)
@@ -143,7 +145,7 @@ class Clock:
     def step(self, stamps: Stamps) -> float:
         """Return the resolution of the stamps [s]: all are multiples of it; 0 if none is known."""
         if self.kind == "pair":
-            return 1e-9
+            return convert(1.0, self.unit, "s")
         values = stamps[0][:_LOOKED_AT]
         if self.kind == "dates":
             return 1e-9 * _common_step(self._dates(values, Source(self.label)).astype(np.int64))
@@ -224,12 +226,17 @@ def _date_format(text: str) -> str:
 
 
 def _since_first(values: Cells, label: str, source: Source) -> Seconds:
+    """Return the continued stamps minus the first."""
+    return _unwrapped(_differences(values, label, source)).astype(float)
+
+
+def _differences(values: Cells, label: str, source: Source) -> Cells:
     """Return stamps minus the first: 19-digit integers lose digits as floats, their differences do not."""
     if is_numeric(values) and values.dtype.kind in "iu":
-        return _unwrapped((values - values[0]).astype(np.int64)).astype(float)
+        return (values - values[0]).astype(np.int64)
     numbers = as_float(values, label, source)
     _check(~np.isfinite(numbers), values, label, source)
-    return _unwrapped(numbers - numbers[0])
+    return numbers - numbers[0]
 
 
 def _unwrapped(counts: Cells) -> Cells:
