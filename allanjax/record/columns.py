@@ -4,7 +4,7 @@ import difflib
 import os
 import re
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, ClassVar, Literal, Self, cast
@@ -268,7 +268,7 @@ def axes_of(
     columns: Sequence[Column],
     units: Mapping[Sensor, str | None],
     source: Source,
-    samples: Sequence[np.ndarray] = (),
+    samples: Callable[[], Sequence[np.ndarray]] = tuple,
 ) -> tuple[tuple[Axis, ...], tuple[str, ...]]:
     """Return axes from columns, in the unit given for the sensor or else that of the label; and notes.
 
@@ -287,16 +287,16 @@ def axes_of(
         if column.unit is None and units[column.sensor] is None:
             nameless.setdefault(column.sensor, column)
     if nameless:
-        options = [_unit_option(sensor, "", columns, samples) for sensor in nameless]
+        options = [_unit_option(sensor, "", columns, samples()) for sensor in nameless]
         raise source.unit_error(_without_unit(nameless, options, source))
     for column in named:
         sensor = cast(Sensor, column.sensor)
         given = units[sensor]
         text = (column.unit or "") if given is None else given
-        option = _unit_option(sensor, text, columns, samples)
         try:
             unit = parse_sample_unit(text, sensor)
         except UnitError as error:
+            option = _unit_option(sensor, text, columns, samples())
             ours = f"column {column.label!r}: {error}; pass {option}"
             wrong = ours if given is None else f"{option}: {error}"
             raise source.unit_error(wrong) from error

@@ -9,7 +9,6 @@ from allanjax.base.wording import plain
 from allanjax.record.columns import Column, axes_by_sensor
 from allanjax.record.completion import runs_of
 from allanjax.record.shapes import Channel, Chosen, Values, Which
-from allanjax.record.units import Sensor
 
 # A marker is farther from all other samples than so many of their standard deviations (or steps, if these are
 # larger), and occurs so often.
@@ -79,14 +78,10 @@ def without_samples(values: Values, columns: Sequence[Column]) -> Absent:
             f"{column.label!r}: {np.count_nonzero(rows):,} samples are exactly {marker:.6g}, far from all "
             f"others: {what}; left out"
         )
-    shifted = np.where(at, np.nan, values) if at.any() else values
+    shifted, wrapped_notes = unwrapped(np.where(at, np.nan, values) if at.any() else values, columns)
+    notes += wrapped_notes
     for sensor, own in axes_by_sensor(columns).items():
-        unwrapped, wrapped_notes = _unwrapped(shifted[:, own], sensor)
-        if wrapped_notes:
-            shifted = np.array(shifted)
-            shifted[:, own] = unwrapped
-            notes += wrapped_notes
-        held = _held(unwrapped)
+        held = _held(shifted[:, own])
         if held.any():
             at[:, own] |= held[:, None]
             lengths = np.diff(runs_of(held))[:, 0]
@@ -156,21 +151,32 @@ def _held(values: Values) -> Chosen:
     return held
 
 
-def _unwrapped(values: Values, sensor: Sensor | None) -> tuple[Values, list[str]]:
-    """Return the samples of a sensor with wrapped ones shifted back, and a note if there are any."""
-    turns = [_turn(x) for x in values.T]
-    turn = max(turns)
-    if not turn:
-        return values, []
-    # Counts of both signs that were read as positive ones, on all axes, or those beyond the largest.
-    positive = np.fmin.reduce(values, axis=None) >= 0.0
-    beyond = values >= 0.5 * turn if positive else values > 0.0
-    beyond &= positive | (np.array(turns) > 0.0)
-    bits = int(np.log2(turn / min(_step(x) for x, own in zip(values.T, turns, strict=True) if own)))
-    count = int(np.count_nonzero(beyond))
-    return np.where(beyond, values - turn, values), [
-        f"{sensor}: {count:,} samples have wrapped at {bits} bits; shifted back"
-    ]
+def unwrapped(values: Values, columns: Sequence[Column]) -> tuple[Values, list[str]]:
+    """Return samples with wrapped ones shifted back, and notes on them."""
+    turns, low = np.array([_turn(x) for x in values.T]), np.fmin.reduce(values, axis=0)
+    # Counts of both signs that were written as positive ones are so on all axes, also where none wraps.
+    is_count = (low >= 0.0) & ~((values % 1.0 > 0.0).any(axis=0))
+    of_file = float(max(turns[is_count], default=0.0))
+    is_count &= np.fmax.reduce(values, axis=0) < of_file
+    notes = []
+    shifted = values
+    for sensor, own in axes_by_sensor(columns).items():
+        turn = float(turns[own].max()) or (of_file if is_count[own].all() else 0.0)
+        if not turn:
+            continue
+        part = shifted[:, own]
+        positive = low[own].min() >= 0.0
+        beyond = part >= 0.5 * turn if positive else part > 0.0
+        beyond &= positive | (turns[own] > 0.0)
+        count = int(np.count_nonzero(beyond))
+        if not count:
+            continue
+        step = min((_step(x) for x, k in zip(part.T, turns[own], strict=True) if k), default=1.0)
+        bits = int(np.log2(turn / step))
+        shifted = shifted.copy() if shifted is values else shifted
+        shifted[:, own] = np.where(beyond, part - turn, part)
+        notes.append(f"{sensor}: {count:,} samples have wrapped at {bits} bits; shifted back")
+    return shifted, notes
 
 
 def _turn(x: Channel) -> float:

@@ -4,6 +4,7 @@ import difflib
 from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
@@ -20,6 +21,7 @@ from allanjax.record.columns import (
     recognise,
     split_unit,
 )
+from allanjax.record.io.absent import unwrapped
 from allanjax.record.io.options import ReadOptions
 from allanjax.record.io.table import Columns, Table, is_numeric
 from allanjax.record.io.times import unevenness
@@ -77,8 +79,8 @@ class Layout:
         _check_is_recording(table, found, columns, clock)
         columns = distinct(columns, table.source)
         _check_all_used(table, columns, clock, first, options)
-        samples = [first[column.index] for column in columns]
-        axes, axis_notes = axes_of(columns, table.units_with(options), table.source, samples)
+        units, samples = table.units_with(options), partial(_samples, columns, first)
+        axes, axis_notes = axes_of(columns, units, table.source, samples)
         used = in_clock | {column.index for column in columns}
         auxiliary = tuple(c for c in found if c.index not in used and _is_channel(c, first[c.index]))
         every = (*notes, *clock_notes, *_notes_on(columns), *axis_notes)
@@ -87,6 +89,14 @@ class Layout:
     def stamps(self, columns: Columns) -> tuple[Cells, ...]:
         """Return the time stamps in these columns of the table."""
         return tuple(columns[column.index] for column in self.clock)
+
+
+def _samples(columns: Sequence[Column], first: Columns) -> Sequence[Cells]:
+    """Return the samples in columns, of which those that have wrapped are shifted back."""
+    samples = [first[column.index] for column in columns]
+    if not all(map(is_numeric, samples)):
+        return samples
+    return [*unwrapped(np.array(samples, float).T, columns)[0].T]
 
 
 def _is_channel(column: Column, values: Cells) -> bool:
