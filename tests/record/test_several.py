@@ -6,6 +6,7 @@ import pytest
 from imu_columns import noted, refused
 
 import allanjax as aj
+from allanjax.base.errors import MixedRatesError
 
 N, NOISE = 1500, 0.1
 AXES = ["gx_dps", "gy_dps", "gz_dps"]
@@ -153,3 +154,24 @@ def test_omega_and_f_are_a_gyro_and_an_accelerometer(tmp_path):
         refused(tmp_path / name, "accel_unit=", kind=aj.UnitError, gyro_unit="rad/s")
     np.savez(tmp_path / "force.npz", f=ACCEL, other=TIME, t=TIME)
     refused(tmp_path / "force.npz", "no gyro or accelerometer column")
+
+
+def test_sensors_of_two_rates_in_one_row_with_empty_cells(tmp_path):
+    """They are told apart whatever is asked for about gaps, and each is read at its own rate."""
+    slow = np.arange(N) % 4 == 1
+    table = pd.DataFrame({"t [s]": np.arange(N) / 200.0})
+    for name, unit, x in (("g", "deg/s", GYRO), ("a", "m/s^2", ACCEL)):
+        table = table.assign(**{f"{name}{axis} [{unit}]": x[:, k] for k, axis in enumerate("xyz")})
+    table.iloc[~slow, 4:] = np.nan
+    table.to_csv(path := tmp_path / "imu.csv", index=False)
+    for gaps in (None, "segments", "fill"):
+        words = "gyro at 200.1 Hz and accel at 50.03 Hz|columns='gyro'|columns='accel'"
+        refused(path, words, MixedRatesError, gaps=gaps)
+        recording = aj.read(path, columns="accel", gaps=gaps)
+        assert recording.rate == pytest.approx(50.0, rel=1e-6)
+        np.testing.assert_allclose(recording.values, ACCEL[slow], rtol=1e-9)
+        assert recording.missing is None
+        assert aj.read(path, columns="gyro", gaps=gaps).rate == pytest.approx(200.0, rel=1e-6)
+    # The first row may have a sample.
+    table[1:].to_csv(path, index=False)
+    np.testing.assert_allclose(aj.read(path, columns="accel").values, ACCEL[slow], rtol=1e-9)

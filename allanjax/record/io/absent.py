@@ -153,7 +153,10 @@ def _held(values: Values) -> Chosen:
 
 def unwrapped(values: Values, columns: Sequence[Column]) -> tuple[Values, list[str]]:
     """Return samples with wrapped ones shifted back, and notes on them."""
-    turns, low = np.array([_turn(x) for x in values.T]), np.fmin.reduce(values, axis=0)
+    turns = np.array([_turn(x) for x in values.T])
+    if not turns.any():
+        return values, []
+    low = np.fmin.reduce(values, axis=0)
     # Counts of both signs that were written as positive ones are so on all axes, also where none wraps.
     is_count = (low >= 0.0) & ~((values % 1.0 > 0.0).any(axis=0))
     of_file = float(max(turns[is_count], default=0.0))

@@ -215,7 +215,9 @@ def _own(part: Rows, layout: Layout, options: ReadOptions) -> tuple[Rows, list[s
         notes.append(f"{np.count_nonzero(~kept)} packets that were recorded twice are left out")
     own = own_rows(part.taken(kept), layout.columns)
     if not own.all():
-        notes.append(f"{np.count_nonzero(~own)} rows that repeat the previous values are left out")
+        notes.append(
+            f"{np.count_nonzero(~own)} rows that repeat the previous values, or have none, are left out"
+        )
     kept[kept] = own
     return part if kept.all() else part.taken(kept), notes
 
@@ -224,7 +226,7 @@ def own_rows(part: Rows, columns: Sequence[Column]) -> Chosen:
     """Return the rows of a table in which its sensors were sampled.
 
     If several sensors share a table, a row repeats the previous values of those that were not sampled then,
-    or marks them as absent.
+    leaves their cells empty, or marks them as absent.
 
     Raises:
         MixedRatesError: the sensors have different rates.
@@ -233,8 +235,10 @@ def own_rows(part: Rows, columns: Sequence[Column]) -> Chosen:
     fresh = {}
     for sensor, of_sensor in axes_by_sensor(columns).items():
         own = values[:, of_sensor]
-        changed = np.concatenate([[False], (own[1:] != own[:-1]).any(axis=1)])
-        fresh[sensor] = changed & ~part.absent[:, of_sensor].all(axis=1)
+        empty = np.isnan(own).all(axis=1)
+        # The first row repeats none, but may be one of those that would.
+        changed = np.concatenate([[empty.any()], (own[1:] != own[:-1]).any(axis=1)])
+        fresh[sensor] = changed & ~empty & ~part.absent[:, of_sensor].all(axis=1)
     # A sensor that does not change is dead.
     living = [rows for rows in fresh.values() if rows.mean() > _LEAST_FRESH]
     in_turn = len(living) == 2 and np.mean(living[0] ^ living[1]) > _REGULAR
