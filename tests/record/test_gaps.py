@@ -162,7 +162,7 @@ def test_a_completed_record_has_the_spectrum_of_a_whole_one():
 
 @pytest.mark.parametrize("share", [0.2, 0.3])
 def test_a_long_gap_is_filled_with_noise_of_the_right_size_at_all_frequencies(share):
-    """White noise: the mean of a gap scatters by less than twice that of as many samples, and the rms is right.
+    """White noise: the mean of a gap scatters by less than twice that of as many samples; the rms is right.
 
     48 means determine their scatter to 10 %, and 48 gaps the noise to 0.3 %.
     """
