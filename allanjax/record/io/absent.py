@@ -17,6 +17,8 @@ _FAR, _LEAST = 20.0, 3
 _HALF = 0.5
 # Share of the rows with a marker in which other axes have it, too, if all are written at once.
 _AT_ONCE = 0.9
+# So many samples that are zero on all axes may be expected by chance.
+_BY_CHANCE = 1e-3
 # Equal samples in a row are held ones if there are so many, and a sensor that is alive has them in a record
 # with less than this probability.
 _SHORTEST, _CHANCE = 32, 1e-9
@@ -81,6 +83,12 @@ def without_samples(values: Values, columns: Sequence[Column]) -> Absent:
     shifted, wrapped_notes = unwrapped(np.where(at, np.nan, values) if at.any() else values, columns)
     notes += wrapped_notes
     for sensor, own in axes_by_sensor(columns).items():
+        failed = _failed(shifted[:, own])
+        if failed.any():
+            at[:, own] |= failed[:, None]
+            notes.append(
+                f"{sensor}: {failed.sum():,} samples are exactly 0 on all axes: failed reads; left out"
+            )
         held = _held(shifted[:, own])
         if held.any():
             at[:, own] |= held[:, None]
@@ -123,6 +131,18 @@ def _step(x: Channel) -> float:
     """Return the smallest difference between values; 0 if all are equal."""
     gaps = np.diff(np.unique(x[:_LOOKED_AT]))
     return float(gaps.min()) if len(gaps) else 0.0
+
+
+def _failed(values: Values) -> Chosen:
+    """Return which samples of a sensor are zero on all axes, if that is no chance; a few of all at most."""
+    zero = values[:, np.fmax.reduce(values, axis=0) > np.fmin.reduce(values, axis=0)] == 0.0
+    failed = zero.all(axis=1) & (zero.shape[1] > 1)
+    count, n = int(failed.sum()), len(failed)
+    if not _LEAST <= count <= _MOST_HELD * n:
+        return np.zeros(n, bool)
+    # Zeros of single axes tell how often all of them would be zero.
+    share = np.maximum(zero[~failed].mean(axis=0), 1.0 / n)
+    return failed if n * float(np.prod(share)) < _BY_CHANCE else np.zeros(n, bool)
 
 
 def _held(values: Values) -> Chosen:

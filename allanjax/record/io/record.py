@@ -1,10 +1,11 @@
 """Record: the rows of a table that are samples, at their times, without those that are none."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
+from jaxtyping import Int
 
 from allanjax.base.errors import MixedRatesError
 from allanjax.record.columns import Column, axes_by_sensor, with_unit
@@ -14,7 +15,7 @@ from allanjax.record.io.grid import Stamps, after_gaps
 from allanjax.record.io.layout import Layout
 from allanjax.record.io.options import ReadOptions
 from allanjax.record.io.table import Columns, Table, as_float, is_numeric
-from allanjax.record.io.times import MAX_RATE_DIFFERENCE, Clock
+from allanjax.record.io.times import MAX_RATE_DIFFERENCE, Clock, sorted_by
 from allanjax.record.shapes import Channel, Chosen, Seconds, Values, Which
 from allanjax.record.validation import MIN_SAMPLES, Source, check_length, check_rate
 
@@ -90,6 +91,10 @@ class Record:
         """
         rate, rate_notes = stated_rate(table, layout, options.rate)
         times = Times.of(table, layout, columns, rate, options)
+        order = None if options.uniform else sorted_by(times.seconds)
+        if order is not None:
+            columns, times = tuple(column[order] for column in columns), times.sorted(order)
+            table = replace(table, source=table.source.at(order))
         part, part_notes = _part(table, layout, columns, times.seconds, options)
         notes = [*rate_notes, *times.notes, *part_notes]
         part, absent_notes = _without_absent(part, layout)
@@ -155,6 +160,12 @@ class Times(NamedTuple):
         clock = Clock.of(layout.clock, stamps, options.time_unit, rate, table.source)
         seconds, notes = clock.seconds(stamps, table.source)
         return cls(seconds, clock, clock.step(stamps), clock.begun(stamps), (*clock.notes, *notes))
+
+    def sorted(self, order: Int[np.ndarray, " n"]) -> "Times":
+        """Return the times in this order."""
+        seconds, moved = self.seconds[order], np.count_nonzero(order != np.arange(len(order)))
+        note = f"{moved:,} rows that are out of order are sorted by their times"
+        return self._replace(seconds=seconds - seconds[0], notes=(*self.notes, note))
 
     def of_rows(self, rows: Rows) -> Stamps | None:
         """Return the stamps of some rows; None without a clock."""

@@ -7,7 +7,9 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
+from jaxtyping import Int
 
+from allanjax.base.wording import plain
 from allanjax.record.columns import Column
 from allanjax.record.io.cells import is_number
 from allanjax.record.io.table import as_float, is_numeric
@@ -27,6 +29,10 @@ MAX_RATE_DIFFERENCE = 0.01
 # in units, or thousandths and millionths of them. The most samples that may be lost at a restart.
 _TURNS = (2**8, 2**16, 2**24, 2**32, 60, 1000, 3600, 10**6, 86_400, 86_400_000, 604_800, 604_800_000)
 _PARTS, _LOST_AT_TURN = (1, 1e-3, 1e-6), 100
+# A counter goes on below this part of its range, another clock was set.
+_RESTART = 0.25
+# Rows are sorted if they are at most so many places off, and their intervals then by this part of one.
+_PLACES, _OFF = 100, 0.1
 _HOUR, _DAY = 3600.0, 86_400.0
 # Possible units of stamps without a unit.
 _UNITS = ("s", "ms", "us", "ns")
@@ -121,11 +127,14 @@ class Clock:
             return _over_midnight(self._of_day(values, source), self.label)
         counts = _since_first(values, self.label, source)
         notes: tuple[str, ...] = ()
-        back = int(np.count_nonzero(values[1:] < values[:-1]))
-        if back and (np.diff(counts) > 0).all():
-            again = f"{back} times" if back > 1 else "once"
-            how = f"starts again {again}, like a counter that overflows; it is continued"
-            notes = (f"column {self.label!r} {how}",)
+        back = np.flatnonzero(values[1:] < values[:-1])
+        if len(back) and (np.diff(counts) > 0).all():
+            again = f"{len(back)} times" if len(back) > 1 else "once"
+            how = f"starts again {again}, like a counter that overflows"
+            turn = float(counts[back[0] + 1] - counts[back[0]]) + float(values[back[0]] - values[back[0] + 1])
+            if (values[back + 1] > _RESTART * turn).any():
+                how = f"is set back {again}, by {plain(convert(turn, self.unit, 's'))} s"
+            notes = (f"column {self.label!r} {how}; it is continued",)
         return convert(counts, self.unit, "s"), notes
 
     def begun(self, stamps: Stamps) -> float | None:
@@ -253,6 +262,20 @@ def _unwrapped(counts: Cells) -> Cells:
             if np.ptp(counts) < turn and (step > 0.5 * typical - 1.0 * part).all() and (step < most).all():
                 return counts + turn * np.concatenate([[0], np.cumsum(back)])
     return counts
+
+
+def sorted_by(times: Seconds) -> Int[np.ndarray, " n"] | None:
+    """Return the order of rows that came in another one than their times; None if they are in order.
+
+    Sorted times are an interval apart, or several; rows are a few places off, as packets of a network are.
+    """
+    if not (np.diff(times) < 0.0).any():
+        return None
+    order = np.argsort(times, kind="stable")
+    intervals = np.diff(times[order])
+    steps = intervals / np.median(intervals)
+    is_even = (abs(steps - np.rint(steps)) < _OFF).all() and (steps > 0.5).all()
+    return order if is_even and abs(order - np.arange(len(order))).max() <= _PLACES else None
 
 
 def _over_midnight(of_day: Seconds, label: str) -> tuple[Seconds, tuple[str, ...]]:
