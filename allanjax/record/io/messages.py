@@ -250,7 +250,7 @@ def _labels_of(text: str, before: Sequence[str]) -> list[str | None]:
     unnamed = len(list(itertools.takewhile(says_nothing, reversed(names))))
     if unnamed > 1:
         delimiter = delimiter_of("".join(pieces[-unnamed:-1]))
-        sizes = [len(VALUE.findall(cell)) for cell in _cells(text, delimiter)]
+        sizes = [len(VALUE.findall(x)) if x[:1] in ("[", "(") else 1 for x in _cells(text, delimiter)]
         every = (_names_in(line, delimiter, unnamed, sizes) for line in reversed(before))
         header = next(filter(None, every), [])
         names[len(names) - len(header) :] = header
