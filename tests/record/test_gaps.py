@@ -160,8 +160,16 @@ def test_a_completed_record_has_the_spectrum_of_a_whole_one():
         np.testing.assert_allclose(ratio[200:26_200].reshape(-1, 2000).mean(axis=1), 1.0, atol=close)
 
 
-@pytest.mark.parametrize("share", [0.2, 0.3])
-def test_a_long_gap_is_filled_with_noise_of_the_right_size_at_all_frequencies(share):
+def test_segments_come_before_filling_in_if_a_gap_is_long(written):
+    """Samples lost at random, without and with a pause of 5 % of the record."""
+    table = whole()[~(np.random.default_rng(3).random(N) < 0.08)]
+    for pause, first in ((0.0, "fill"), (10.0, "segments")):
+        later = table.assign(**{"time [s]": table["time [s]"] + pause * (table.index > N // 2)})
+        message = str(refused(written(later), "gaps='fill'|gaps='segments'"))
+        assert message.index(f"gaps='{first}'") == message.index("gaps='")
+
+
+def test_a_long_gap_is_filled_with_noise_of_the_right_size_at_all_frequencies(share=0.3):
     """White noise: the mean of a gap scatters by less than twice that of as many samples; the rms is right.
 
     48 means determine their scatter to 10 %, and 48 gaps the noise to 0.3 %.
