@@ -169,13 +169,13 @@ def test_segments_come_before_filling_in_if_a_gap_is_long(written):
         assert message.index(f"gaps='{first}'") == message.index("gaps='")
 
 
-def test_a_long_gap_is_filled_with_noise_of_the_right_size_at_all_frequencies(share=0.3):
+def test_a_long_gap_is_filled_with_noise_of_the_right_size_at_all_frequencies():
     """White noise: the mean of a gap scatters by less than twice that of as many samples; the rms is right.
 
     48 means determine their scatter to 10 %, and 48 gaps the noise to 0.3 %.
     """
     n, means, rms = 10_000, [], []
-    lost = slice(n // 3, n // 3 + int(share * n))
+    lost = slice(n // 3, n // 3 + int(0.3 * n))
     for seed in range(16):
         x = np.random.default_rng(seed).standard_normal((n, 3))
         there = np.delete(x, lost, axis=0)
