@@ -22,6 +22,7 @@ from allanjax.record.units import (
     SENSORS,
     SI,
     Sensor,
+    is_unit,
     parse_sample_unit,
     same_unit,
     unit_scale,
@@ -82,7 +83,8 @@ _CLOCKS |= {"ms": "ms", "us": "us", "ns": "ns"}
 # Words of names that may be those of times, if the values increase.
 _MAYBE_TIME = re.compile(
     r"(?:^|_)(?:t|time|stamp|clock|epoch|unix|tow|sow|sod|elapsed|uptime|ticks?|millis|micros|nanos|seconds"
-    r"|ms|us|ns)(?:_|$)"
+    r"|ms|us|ns|uhrzeit|zeit|zeitstempel|zeitpunkt|datum|temps|heure|horodatage|tiempo|hora|fecha|tempo|ora)"
+    r"(?:_|$)"
 )
 # Names of the cluster times of Allan curves, which are no recordings.
 _CLUSTER_TIME = re.compile(r"taus?|(?:cluster|averaging|correlation)_time")
@@ -155,11 +157,15 @@ def may_be_time(column: Column) -> Column | None:
 
 
 def split_unit(label: str) -> tuple[str, str | None]:
-    """Split `gyro_x [deg/s]` or `gyro_x (deg/s)` into (`gyro_x`, `deg/s`); without a unit, (label, None)."""
+    """Split `gyro_x [deg/s]` or `gyro_x (deg/s)` into (`gyro_x`, `deg/s`); without a unit, (label, None).
+
+    `gyro_x in deg/s` and `gyro_x, deg/s` are split, too.
+    """
     label = label.strip()
     match = re.fullmatch(r"(.+?)\s*(?:\[([^\[\]]*)\]|\((.*)\))", label)
     if match is None:
-        return label, None
+        plain = re.fullmatch(r"(.+?)(?:,| in) +(\S+)", label)
+        return (plain[1], plain[2]) if plain and is_unit(plain[2]) else (label, None)
     unit = (match[2] or match[3] or "").strip()
     # `covariance[0]` is an element of an array.
     return (label, None) if not unit or unit.isdigit() else (match[1].strip(), unit)

@@ -15,6 +15,9 @@ _NUMBER = rf"(?<![\w.^])(?<![A-Za-z^]-){NUMBER}(?![\dx])|\b(?:nan|null|none|inf(
 VALUE = re.compile(rf"(?i:{TIME}|\b(?=\d*[a-f])[\da-f]{{8}}\b|{_NUMBER})")
 # A number beside anything but a delimiter: `x=0.1`, `[0.1`, `0.1 deg/s`; or a name before one.
 _DECORATED = re.compile(r".*[\[({<=>|]\s*[-+]?\.?\d|:\s*[-+.\d]|[-+]?\.?\d.*[^\w.]|.*\d[.:]\d|\D*[:=]$")
+# Numbers with a decimal comma, and numbers whose commas separate thousands.
+_COMMA = re.compile(r"[+-]?\d+,\d+(?:[eE][+-]?\d+)?")
+_THOUSANDS = re.compile(r"[+-]?[1-9]\d{0,2}(?:,\d{3})+(?:\.\d*)?")
 # Marks at the start of comments.
 _COMMENT = ("#", "%", "//")
 _BEFORE_NAMES = re.compile(r"^\s*(?:[#/;!*>]+|%+\s|--+|REM\s)\s*")
@@ -33,6 +36,28 @@ def without_mark(text: str) -> str:
 def delimiter_of(text: str) -> str | None:
     """Return the delimiter of a line; None for white space."""
     return next((mark for mark in "\t;,|" if mark in text), None)
+
+
+def delimiter_beside_commas(text: str) -> str | None:
+    """Return the delimiter of a line of numbers with decimal commas, which are in quotes if it is a comma."""
+    return next((mark for mark in "\t;" if mark in text), "," if '"' in text else None)
+
+
+def has_decimal_commas(text: str) -> bool:
+    """Whether a line has numbers with decimal commas; between blanks, all cells are numbers or times."""
+    delimiter = delimiter_beside_commas(text)
+    cells = split(text, delimiter) if "," in text else []
+    numbers = [cell for cell in cells if _COMMA.fullmatch(cell)]
+    if not numbers or any("." in cell and is_number(cell) for cell in cells):
+        return False
+    if delimiter is None:
+        return len(cells) > 1 and all(cell in numbers or VALUE.fullmatch(cell) for cell in cells)
+    return delimiter != "," or not all(map(_THOUSANDS.fullmatch, numbers))
+
+
+def with_point(cell: str) -> str:
+    """A number with a decimal comma with a point in its place; other cells unchanged."""
+    return cell.replace(",", ".") if _COMMA.fullmatch(cell) else cell
 
 
 def split(text: str, delimiter: str | None) -> list[str]:

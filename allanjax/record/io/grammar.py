@@ -12,8 +12,10 @@ from typing import Any, NamedTuple
 
 from allanjax.record.columns import recognise, split_unit, with_unit
 from allanjax.record.io.cells import (
+    delimiter_beside_commas,
     delimiter_of,
     fits,
+    has_decimal_commas,
     is_axis,
     is_comment,
     is_decorated,
@@ -21,6 +23,7 @@ from allanjax.record.io.cells import (
     is_unit_name,
     split,
     trimmed,
+    with_point,
     without_mark,
 )
 from allanjax.record.io.messages import Message, Numbered, messages_in, records_of
@@ -46,9 +49,6 @@ _COEFFICIENTS = {
 _SECTION = re.compile(r"\s*(?:[\[<]/?[A-Za-z][\w .-]*[\]>]|\w*END\w*)\s*")
 # A header has at most so many lines; and this share of the first lines must be rows if each line is one.
 _HEADER_LINES, _REGULAR = 4, 0.99
-# A line of numbers with decimal commas, which may have whole numbers, too.
-_COMMA_NUMBER = r"[+-]?\d+(?:,\d+)?(?:[eE][+-]?\d+)?"
-_DECIMAL_COMMA = re.compile(rf"\s*{_COMMA_NUMBER}(?:[\s;]+{_COMMA_NUMBER})*[\s;]*")
 _SENSORS: dict[Sensor, str] = {"gyro": "gyros", "accel": "accelerometers"}
 
 
@@ -252,10 +252,12 @@ def _plain(head: Sequence[Numbered]) -> Grammar | None:
     sep = _SEP.fullmatch(head[0][1])
     lines, has_commas = [], False
     for number, text in head[1:] if sep else head:
-        bare = text.replace(",", ".") if _has_decimal_commas(text) else text
-        has_commas |= bare != text
-        delimiter = sep[1] if sep else delimiter_of(bare)
-        lines.append(_Line(number, bare, delimiter, split(bare, delimiter)))
+        own = has_decimal_commas(text)
+        has_commas |= own
+        delimiter = delimiter_beside_commas(text) if own else delimiter_of(text)
+        delimiter = sep[1] if sep else delimiter
+        cells = split(text, delimiter)
+        lines.append(_Line(number, text, delimiter, [*map(with_point, cells)] if own else cells))
     first = _first_row([line for line in lines if not is_comment(line.text)])
     if first is None:
         return None
@@ -271,13 +273,6 @@ def _plain(head: Sequence[Numbered]) -> Grammar | None:
         notes=("numbers with decimal commas",) if has_commas else (),
     )
     return _with_names(found, before)
-
-
-def _has_decimal_commas(text: str) -> bool:
-    """Whether a line is numbers with decimal commas, separated by semicolons, tabs or blanks."""
-    if "," not in text or not _DECIMAL_COMMA.fullmatch(text.replace('"', "")):
-        return False
-    return delimiter_of(text) != "," or re.search(r"\d\s+[+-]?\d", text) is not None
 
 
 def _first_row(lines: Sequence[_Line]) -> _Line | None:

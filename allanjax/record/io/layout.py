@@ -22,6 +22,7 @@ from allanjax.record.columns import (
 )
 from allanjax.record.io.options import ReadOptions
 from allanjax.record.io.table import Columns, Table, is_numeric
+from allanjax.record.io.times import are_times
 from allanjax.record.shapes import Cells
 from allanjax.record.units import SENSORS, Sensor, is_unit, unit_scale
 from allanjax.record.validation import check_names
@@ -151,9 +152,8 @@ def _as_time(column: Column, values: Cells, table: Table) -> Column:
     if time is None and column.unit is not None and is_unit(column.unit, "s"):
         time = replace(column, role="time")
     # Durations beside samples, such as a latency, do not increase from row to row.
-    if time is None or not is_numeric(values) or not _increases(values):
-        return column
-    return time
+    passes = _increases(values) if is_numeric(values) else are_times(values)
+    return time if time is not None and passes else column
 
 
 def _increases(values: Cells) -> bool:
@@ -266,6 +266,8 @@ def _clock(
         # Without a rate, the unit of a counter is unknown.
         counters = [c for c in found if c.role == "counter" and first[c.index].dtype.kind in "iu"]
         candidates = [c for c in counters if np.median(np.diff(first[c.index].astype(float))) > 0.0][:1]
+    if not candidates and not (options.rate or table.rate):
+        candidates = [c for c in found if c.role == "auxiliary" and are_times(first[c.index])]
     parts = {column.time_part: column for column in candidates if column.time_part is not None}
     choices: list[tuple[Column, ...]] = [(column,) for column in candidates]
     for (prefix, unit), column in parts.items():
@@ -286,9 +288,14 @@ def _clock(
 
 
 def _unevenness(stamps: Cells) -> int:
-    """Return how uneven stamps are: 0 if intervals agree within a fifth, 1 if not, 2 if they never change."""
+    """Return how uneven stamps are: 0 if intervals agree within a fifth, 1 if not, 2 if they never change.
+
+    Of text it is 1 if stamps repeat.
+    """
     if stamps.dtype.kind == "M":
         stamps = stamps.astype(np.int64)
+    if stamps.dtype.kind == "O":
+        return int(len(stamps) > 1 and stamps[0] == stamps[1])
     if not is_numeric(stamps) or len(stamps) < 3:
         return 0
     intervals = np.diff((stamps - stamps[0]).astype(float))

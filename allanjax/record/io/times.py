@@ -192,6 +192,13 @@ def is_missing(cell: object) -> bool:
     return cell is None or bool(cell != cell)
 
 
+def are_times(values: Cells) -> bool:
+    """Return whether text has times of the day, with or without a date, that are not all the same."""
+    texts = [str(x) for x in (values[0], values[-1])] if values.dtype.kind == "O" and len(values) else []
+    is_time = bool(texts) and ":" in texts[0] and texts[0] != texts[1]
+    return is_time and bool(_CLOCK.fullmatch(texts[0]) or _date_format(texts[0]))
+
+
 def _date_format(text: str) -> str:
     """Return the format of a date, "ISO8601" for most; "" for a text that is no date."""
     if not re.search(r"\d{2,4}[-/. ]|\d{8}T", text):

@@ -1,0 +1,91 @@
+"""Text as spreadsheets of other countries, phones, terminals and databases write it, and the same samples."""
+
+import re
+
+import numpy as np
+import pytest
+from imu_columns import DEG, G0, SIX, noted
+
+import allanjax as aj
+
+N, RATE = 400, 100.0
+GYRO = np.random.default_rng(3).normal([0.1, -0.2, 0.05], 0.08, (N, 3)).round(5)
+ACCEL = np.random.default_rng(4).normal([0.01, -0.02, 1.003], 0.002, (N, 3)).round(5)
+STEP = np.arange(N)
+GERMAN = [f"Gyro {axis} [°/s]" for axis in "XYZ"]
+
+
+def clock(k, start=43_200.0, digits=3):
+    """Time of the day of a sample."""
+    s = start + k / RATE
+    return f"{int(s // 3600) % 24:02d}:{int(s // 60) % 60:02d}:{s % 60:0{3 + digits}.{digits}f}"
+
+
+@pytest.fixture
+def read(tmp_path):
+    def read(lines, name="log.csv", **options):
+        path = tmp_path / name
+        path.write_text("\n".join([*lines, ""]), encoding="utf-8")
+        return aj.read(path, **options)
+
+    return read
+
+
+def is_right(recording, accel=None, rate=RATE, n=N):
+    """All samples of the gyros in deg/s, and of the accelerometers in g if there are any; and the rate."""
+    assert (recording.n, recording.rate) == (n, pytest.approx(rate, rel=1e-6))
+    truth = GYRO * DEG if accel is None else np.hstack([GYRO * DEG, accel * G0])
+    np.testing.assert_allclose(recording.values, truth[:n], rtol=1e-12)
+    assert recording.names == SIX[: truth.shape[1]]
+    return recording
+
+
+def cells(mark, names, first, values, last=None, quote=""):
+    """Lines of names and of cells with decimal commas between marks, with a cell before and one behind."""
+    lines = [names, *([first(k), *map(str, row), *([] if last is None else [last])] for k, row in values)]
+    return [mark.join(quote + re.sub(r"\.(?=\d+$)", ",", cell) + quote for cell in line) for line in lines]
+
+
+SAMPLES = list(enumerate(GYRO.tolist()))
+# What the first cell of a line is, and the name of its column.
+FIRST = {
+    "Uhrzeit": lambda k: clock(k, 86_398.0),
+    "Datum": lambda k: f"01.03.2024 {clock(k)}",
+    "Zeitstempel": lambda k: f"2024-03-01 {clock(k)}",
+    "Horodatage": lambda k: f"01/03/2024 {clock(k)}",
+    "zeit": lambda k: f"{k / RATE:.3f}",
+    "tiempo": lambda k: f"{k / RATE:.3f}",
+    "Temps [ms]": lambda k: str(10 * k),
+}
+
+
+@pytest.mark.parametrize("mark", [";", "\t"])
+@pytest.mark.parametrize("name", FIRST)
+def test_decimal_commas_beside_dates_and_words(read, name, mark):
+    for last in ([], ["OK"]):
+        lines = cells(mark, [name, *GERMAN, *last], FIRST[name], SAMPLES, *last)
+        assert noted(is_right(read(lines)), "decimal commas")
+    is_right(read(cells(mark, [name, *GERMAN], FIRST[name], SAMPLES, quote='"')))
+
+
+def test_decimal_commas_in_quotes_between_commas(read):
+    is_right(read(cells(",", ["zeit", *GERMAN], FIRST["zeit"], SAMPLES, quote='"')))
+
+
+def test_a_clock_in_seconds_beside_its_milliseconds(read):
+    """The finer column tells the times."""
+    is_right(
+        read(cells(";", ["Uhrzeit", "ms", *GERMAN], lambda k: f"{clock(k)[:8]};{10 * k % 1000}", SAMPLES))
+    )
+
+
+def test_times_under_any_name_and_units_behind_names(read):
+    """Text that is a date and a time, unless it is always the same; `in deg/s` and `, deg/s`."""
+    names = [f"gyro_{axis} in °/s" for axis in "xyz"]
+    lines = [",".join(["saved", "logged", *names])]
+    lines += [f"2024-03-01 10:00:00,2024-03-01 {clock(k)},{x},{y},{z}" for k, (x, y, z) in SAMPLES]
+    is_right(read(lines))
+    # A rate that is given wins.
+    is_right(read(lines, rate=50.0), rate=50.0)
+    quoted = ",".join(f'"{name}"' for name in ("Time, s", *(f"Gyro {axis}, deg/s" for axis in "XYZ")))
+    is_right(read([quoted, *(f"{k / RATE},{x},{y},{z}" for k, (x, y, z) in SAMPLES)]))
