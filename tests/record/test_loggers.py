@@ -4,7 +4,7 @@ import re
 
 import numpy as np
 import pytest
-from imu_columns import DEG, G0, SIX, noted
+from imu_columns import DEG, G0, SIX, noted, refused
 
 import allanjax as aj
 
@@ -89,3 +89,22 @@ def test_times_under_any_name_and_units_behind_names(read):
     is_right(read(lines, rate=50.0), rate=50.0)
     quoted = ",".join(f'"{name}"' for name in ("Time, s", *(f"Gyro {axis}, deg/s" for axis in "XYZ")))
     is_right(read([quoted, *(f"{k / RATE},{x},{y},{z}" for k, (x, y, z) in SAMPLES)]))
+
+
+UNUSUAL = "2024-03-01 12-00-{:02d}_{:03d}"
+
+
+@pytest.mark.parametrize("unusual", [UNUSUAL, "2024-03-01 12:00:{:02d}:{:03d}"])
+def test_an_unusual_date_beside_named_columns_is_text(read, unusual):
+    names = ["GYROSCOPE X (deg/s)", "GYROSCOPE Y (deg/s)", "GYROSCOPE Z (deg/s)"]
+    lines = ["sep=;", ";".join([*names, "Time since start in ms ", "YYYY-MO-DD HH-MI-SS_SSS"])]
+    lines += [f"{x};{y};{z};{10 * k};{unusual.format(*divmod(10 * k, 1000))}" for k, (x, y, z) in SAMPLES]
+    assert noted(is_right(read(lines)), "not numeric", unusual.format(0, 0))
+
+
+def test_rows_that_differ_in_digits_of_words_are_not_left_out(tmp_path):
+    """Without a header each would be a message of another kind."""
+    path = tmp_path / "log.csv"
+    rows = [f"{x};{y};{z};{10 * k};{UNUSUAL.format(0, 10 * (k % 20))}" for k, (x, y, z) in SAMPLES]
+    path.write_text("\n".join(rows))
+    refused(path, "no rows of 6 numbers", columns="gyro_x,gyro_y,gyro_z,time [ms],-,-", gyro_unit="deg/s")

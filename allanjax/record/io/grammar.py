@@ -278,7 +278,7 @@ def _plain(head: Sequence[Numbered]) -> Grammar | None:
 def _first_row(lines: Sequence[_Line]) -> _Line | None:
     """Return the first row: the one below names of axes, or else the first of the most frequent size."""
     for k, line in enumerate(lines):
-        above = reversed(lines[max(k - _HEADER_LINES, 0) : k]) if line.numbers else ()
+        above = reversed(lines[max(k - _HEADER_LINES, 0) : k]) if any(map(is_number, line.cells)) else ()
         for other in above:
             names = trimmed(split(other.text, line.delimiter))
             if any(map(is_number, names)):
@@ -286,7 +286,8 @@ def _first_row(lines: Sequence[_Line]) -> _Line | None:
             # The last names may have no cells if that is so in all rows.
             size = len(line.cells)
             is_short = size < len(names) and all(len(x.cells) == size for x in lines[k : k + 3])
-            if any(map(is_axis, names)) and (fits(line.cells, len(names)) or is_short):
+            has_cells = fits(line.cells, len(names)) or is_short
+            if any(map(is_axis, names)) and has_cells and _are_plain(names, line):
                 return line._replace(cells=line.cells[: len(names)])
     rows = [line for line in lines if 0 < len(trimmed(line.cells)) <= 2 * line.numbers]
     if not rows:
@@ -296,6 +297,13 @@ def _first_row(lines: Sequence[_Line]) -> _Line | None:
     alike = [x for x in rows if (x.delimiter, len(x.cells)) == (first.delimiter, len(first.cells))]
     # Columns at the end that are empty in all rows are none.
     return first._replace(cells=first.cells[: max(len(trimmed(line.cells)) for line in alike)])
+
+
+def _are_plain(names: Sequence[str], line: _Line) -> bool:
+    """Whether no cell of a known column has a number beside something else, as messages have."""
+    cells = zip(names, line.cells, strict=False)
+    mixed = [name for name, cell in cells if is_decorated(cell, line.delimiter)]
+    return all(name and recognise(name).role == "auxiliary" and not is_axis(name) for name in mixed)
 
 
 def _is_regular(found: Grammar, texts: Sequence[str]) -> bool:

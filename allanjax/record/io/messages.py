@@ -144,8 +144,14 @@ def messages_in(head: Sequence[Numbered]) -> Found | None:
             examples = [record for record in records if _shape(record[1]) == shape]
             found = _found(shape, examples, [text for n, text in head if n < examples[0][0]], mark)
             if found is not None and (best is None or found.axes > best.axes):
-                best = found._replace(message=replace(found.message, others=words - {shape}))
+                others = frozenset(other for other in words if _letters(other) != _letters(shape))
+                best = found._replace(message=replace(found.message, others=others))
     return best
+
+
+def _letters(shape: str) -> str:
+    """A shape without digits: messages that differ but in these are of one kind."""
+    return re.sub(r"[\d_]+", "", shape)
 
 
 def _openings(head: Sequence[Numbered]) -> list[str]:
