@@ -1,6 +1,7 @@
 """Text as spreadsheets of other countries, phones, terminals and databases write it, and the same samples."""
 
 import re
+import subprocess
 
 import numpy as np
 import pytest
@@ -108,3 +109,51 @@ def test_rows_that_differ_in_digits_of_words_are_not_left_out(tmp_path):
     rows = [f"{x};{y};{z};{10 * k};{UNUSUAL.format(0, 10 * (k % 20))}" for k, (x, y, z) in SAMPLES]
     path.write_text("\n".join(rows))
     refused(path, "no rows of 6 numbers", columns="gyro_x,gyro_y,gyro_z,time [ms],-,-", gyro_unit="deg/s")
+
+
+@pytest.mark.parametrize("mark", [",", " "])
+def test_markers_of_missing_values(tmp_path, mark):
+    """All are told in the first message, as values that can be filled in."""
+    path, markers = tmp_path / "log.csv", ["--", "-", "n/a", "none", "nil", "*", "NaN", "#N/A", "null"]
+    lines = [mark.join([f"{k / RATE:.2f}", *map(str, row)]) for k, row in SAMPLES]
+    places = 30 * np.arange(1, len(markers) + 1)
+    for place, marker in zip(places, markers, strict=True):
+        lines[place] = mark.join([f"{place / RATE:.2f}", marker, *map(str, GYRO[place, 1:])])
+    path.write_text("\n".join([mark.join(["time[s]", *(f"gyro_{axis}[deg/s]" for axis in "xyz")]), *lines]))
+    refused(path, "line 32|and 8 more|a marker such as --|gaps='fill'")
+    recording = aj.read(path, gaps="fill")
+    assert np.flatnonzero(recording.missing[:, 0]).tolist() == places.tolist()
+    np.testing.assert_allclose(recording.values[:, 1:], GYRO[:, 1:] * DEG, rtol=1e-12)
+
+
+def test_commas_between_thousands(read):
+    """In quotes; they are no decimal commas with three digits behind each, and digits but zeros in front."""
+    milli = (1000.0 * ACCEL).round(2)
+    header = ",".join(
+        ["time (ms)", *(f"g{axis} (dps)" for axis in "xyz"), *(f"a{axis} (mg)" for axis in "xyz")]
+    )
+    for times in (10 * STEP, 10 * STEP + 4_990_000):
+        lines = [header]
+        for k, (rates, forces) in enumerate(zip(GYRO.tolist(), milli.tolist(), strict=True)):
+            texts = [f"{times[k]:,}", *map(str, rates), *(f"{x:,.2f}" for x in forces)]
+            lines.append(",".join(f'"{text}"' if "," in text else text for text in texts))
+        recording = is_right(read(lines), milli / 1000.0)
+        assert noted(recording, "thousands")
+
+
+def test_a_command_that_leaves_lines_out_does_so(tmp_path):
+    """It writes to another file than it reads; where it would not help, there is none."""
+    rows = [f"imu {k} ({x}) [{y}] <{z}>" for k, (x, y, z) in SAMPLES]
+    words = ["".join(chr(97 + int(digit)) for digit in str(k)) for k in STEP]
+    for name, begin, helps in (("rows.txt", "what is", True), ("log.txt", "imu", False)):
+        path = tmp_path / name
+        path.write_text("\n".join([f"{begin} {words[k]}" if k % 9 == 4 else rows[k] for k in STEP]))
+        message = str(refused(path, "no rows of 4 numbers", columns="-,gyro_x,gyro_y,gyro_z"))
+        found = re.search(r"run (grep .*? '?/\S+?'?) > (\S+)$", message)
+        assert (found is not None) == helps
+        if found:
+            assert found[2] != name
+            done = subprocess.run(found[1], shell=True, capture_output=True, text=True, check=True)
+            path.write_text(done.stdout)
+            recording = aj.read(path, columns="-,gyro_x,gyro_y,gyro_z", gyro_unit="deg/s", rate=RATE)
+            assert recording.n == len([k for k in STEP if k % 9 != 4])

@@ -55,9 +55,16 @@ def has_decimal_commas(text: str) -> bool:
     return delimiter != "," or not all(map(_THOUSANDS.fullmatch, numbers))
 
 
-def with_point(cell: str) -> str:
-    """A number with a decimal comma with a point in its place; other cells unchanged."""
-    return cell.replace(",", ".") if _COMMA.fullmatch(cell) else cell
+def with_points(cells: list[str]) -> list[str]:
+    """Return cells of which numbers have a decimal point in place of a comma."""
+    return [cell.replace(",", ".") if _COMMA.fullmatch(cell) else cell for cell in cells]
+
+
+def without_groups(cells: list[str], delimiter: str | None) -> list[str]:
+    """Return cells between commas, of which numbers in quotes have lost the commas between thousands."""
+    if delimiter != ",":
+        return cells
+    return [cell.replace(",", "") if _THOUSANDS.fullmatch(cell) else cell for cell in cells]
 
 
 def split(text: str, delimiter: str | None) -> list[str]:

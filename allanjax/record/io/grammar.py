@@ -3,11 +3,13 @@
 import functools
 import itertools
 import re
+import shlex
 import tomllib
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from importlib.resources import files
+from pathlib import Path
 from typing import Any, NamedTuple
 
 from allanjax.record.columns import recognise, split_unit, with_unit
@@ -23,7 +25,8 @@ from allanjax.record.io.cells import (
     is_unit_name,
     split,
     trimmed,
-    with_point,
+    with_points,
+    without_groups,
     without_mark,
 )
 from allanjax.record.io.messages import Message, Numbered, messages_in, records_of
@@ -49,6 +52,7 @@ _COEFFICIENTS = {
 _SECTION = re.compile(r"\s*(?:[\[<]/?[A-Za-z][\w .-]*[\]>]|\w*END\w*)\s*")
 # A header has at most so many lines; and this share of the first lines must be rows if each line is one.
 _HEADER_LINES, _REGULAR = 4, 0.99
+_GROUPS = "commas within numbers in quotes are taken to separate thousands"
 _SENSORS: dict[Sensor, str] = {"gyro": "gyros", "accel": "accelerometers"}
 
 
@@ -95,13 +99,21 @@ class Grammar:
         mark = self.message.mark if self.message else None
         return b"\n" if mark is None else b"\n" + (mark.encode() or b"\n")
 
-    def filter(self, path: str) -> str:
-        """A command that writes the rows alone."""
-        if self.message is not None:
-            word = max(re.findall(r"\w+", self.message.shape), key=len, default="")
-            return f"grep -aF '{word}' '{path}' > rows.txt"
-        mark = "" if self.delimiter is None else f" -F'{self.delimiter}'"
-        return f"awk{mark} 'NF=={self.fields}' '{path}' > rows.csv"
+    def without(self, others: Sequence[str], path: str) -> str:
+        """What to do about lines that are no rows: a command that writes the rows alone, if there is one."""
+        # A command must not write to the file that it reads.
+        name = "rows.txt" if Path(path).name != "rows.txt" else "rows-2.txt"
+        command = ""
+        if self.message is None:
+            mark = "" if self.delimiter is None else f" -F'{self.delimiter}'"
+            command = f"awk{mark} 'NF=={self.fields}'"
+        else:
+            words = re.findall(r"\w+", self.message.shape)
+            own = [word for word in words if not any(word in other for other in others)]
+            command = f"grep -aF '{max(own, key=len)}'" if own else ""
+        if not command:
+            return "repair these lines, or leave them out"
+        return f"to leave them out, run {command} {shlex.quote(path)} > {name}"
 
     def after(self, lines: int) -> "Grammar":
         """Return the grammar of a table that begins after so many lines."""
@@ -156,6 +168,7 @@ class Grammar:
             return None
         cells = split(self._bare(text), self.delimiter)
         cells = cells[: self.fields] if fits(cells, self.fields) else trimmed(cells)
+        cells = without_groups(cells, self.delimiter) if self.decimal == "." else cells
         numbers = {k for k, cell in enumerate(cells) if is_number(cell.replace(self.decimal, "."))}
         words = [k for k, cell in enumerate(cells) if cell and k in self.numeric and k not in numbers]
         # A delimiter within quotes separates nothing.
@@ -250,14 +263,16 @@ def _plain(head: Sequence[Numbered]) -> Grammar | None:
     """Return the grammar of lines that are cells between delimiters; None if none of them is a row."""
     head = [(number, text) for number, text in head if text.strip(" ")]
     sep = _SEP.fullmatch(head[0][1])
-    lines, has_commas = [], False
+    lines, has_commas, has_groups = [], False, False
     for number, text in head[1:] if sep else head:
         own = has_decimal_commas(text)
         has_commas |= own
         delimiter = delimiter_beside_commas(text) if own else delimiter_of(text)
         delimiter = sep[1] if sep else delimiter
         cells = split(text, delimiter)
-        lines.append(_Line(number, text, delimiter, [*map(with_point, cells)] if own else cells))
+        bare = with_points(cells) if own else without_groups(cells, delimiter)
+        has_groups |= not own and bare != cells
+        lines.append(_Line(number, text, delimiter, bare))
     first = _first_row([line for line in lines if not is_comment(line.text)])
     if first is None:
         return None
@@ -270,7 +285,7 @@ def _plain(head: Sequence[Numbered]) -> Grammar | None:
         decimal="," if has_commas else ".",
         comment="%" if is_percent else "#",
         numeric=tuple(k for k, cell in enumerate(first.cells) if is_number(cell)),
-        notes=("numbers with decimal commas",) if has_commas else (),
+        notes=(*["numbers with decimal commas"] * has_commas, *[_GROUPS] * (has_groups and not has_commas)),
     )
     return _with_names(found, before)
 
