@@ -157,3 +157,49 @@ def test_a_command_that_leaves_lines_out_does_so(tmp_path):
             path.write_text(done.stdout)
             recording = aj.read(path, columns="-,gyro_x,gyro_y,gyro_z", gyro_unit="deg/s", rate=RATE)
             assert recording.n == len([k for k in STEP if k % 9 != 4])
+
+
+@pytest.mark.parametrize("offset", [" +0100", "+01:00", "Z"])
+def test_an_offset_after_a_blank(read, offset):
+    lines = ["time," + ",".join(f"gyro_{axis} [deg/s]" for axis in "xyz")]
+    lines += [f"2024-03-01T{clock(k)}{offset},{x},{y},{z}" for k, (x, y, z) in SAMPLES]
+    assert is_right(read(lines)).begun == 1_709_294_400 - 3600 * ("1" in offset)
+
+
+def of_influx(times, series=("gyro_x", "gyro_y", "gyro_z")):
+    """Annotated CSV of InfluxDB: one row per value, one field after another."""
+    lines = [
+        "#datatype,string,long,dateTime:RFC3339,double,string",
+        "#default,_result,,,,",
+        ",result,table,_time,_value,_field",
+    ]
+    for place, name in enumerate(series):
+        values = GYRO[:, "xyz".index(name[-1])].tolist()
+        lines += [f",,{place},2024-03-01T{t}Z,{x},{name}" for t, x in zip(times, values, strict=True)]
+    return lines
+
+
+def test_a_long_table_of_a_database(read, tmp_path):
+    """Times in their order, also where a whole second has no decimals; one value of a field at a time."""
+    times = [clock(k).removesuffix(".000") for k in STEP]
+    recording = is_right(read(of_influx(times), gyro_unit="deg/s"))
+    assert noted(recording, "long table: 1,200 rows", "gyro_x, gyro_y, gyro_z")
+    path = tmp_path / "two.csv"
+    path.write_text("\n".join(of_influx(times, ("gyro_x", "gyro_y", "gyro_y"))))
+    refused(path, "'gyro_y' at 2024-03-01T12:00:00Z|line 804|export one", gyro_unit="deg/s")
+
+
+def test_what_has_to_be_converted_first_is_named(tmp_path):
+    path = tmp_path / "log.txt"
+    for frame in ("0F1#0011FFF0000900F4", " 0F1   [8]  00 11 FF F0 00 09 00 F4"):
+        path.write_text("\n".join(f"(1709290800.{k:06d}) vcan0 {frame}" for k in STEP))
+        refused(path, "raw frames of a CAN bus|DBC")
+    counts = np.rint(GYRO * 131.0).astype(int)
+    path.write_text("\n".join(" ".join(f"0x{x % 65536:04X}" for x in row) for row in counts.tolist()))
+    message = str(refused(path, "hexadecimal"))
+    command = re.search(r"perl .*(?= > decimal.txt$)", message)
+    assert command is not None
+    done = subprocess.run(command[0], shell=True, capture_output=True, text=True, check=True)
+    path.write_text(done.stdout)
+    recording = aj.read(path, gyro_unit="deg/s/131", rate=RATE)
+    np.testing.assert_allclose(recording.values, counts * DEG / 131.0, rtol=1e-12)

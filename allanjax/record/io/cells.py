@@ -12,6 +12,8 @@ _DATE = r"\d{1,4}(?:-\d\d?-|/\d\d?/|\.\d\d?\.)\d{1,4}"
 _CLOCK = r"\d\d?:\d\d:\d\d(?:[.,]\d+)?"
 TIME = rf"(?<![\w.])(?:{_DATE}(?:[T ]{_CLOCK}(?:Z|[+-]\d\d:?\d\d)?)?|{_CLOCK})"
 _NUMBER = rf"(?<![\w.^])(?<![A-Za-z^]-){NUMBER}(?![\dx])|\b(?:nan|null|none|inf(?:inity)?)\b"
+# A date with its offset after a blank, which between blanks might be a number.
+_WITH_ZONE = re.compile(rf"{TIME} [+-]\d\d:?\d\d")
 VALUE = re.compile(rf"(?i:{TIME}|\b(?=\d*[a-f])[\da-f]{{8}}\b|{_NUMBER})")
 # A number beside anything but a delimiter: `x=0.1`, `[0.1`, `0.1 deg/s`; or a name before one.
 _DECORATED = re.compile(r".*[\[({<=>|]\s*[-+]?\.?\d|:\s*[-+.\d]|[-+]?\.?\d.*[^\w.]|.*\d[.:]\d|\D*[:=]$")
@@ -103,7 +105,7 @@ def is_unit_name(text: str) -> bool:
 
 def is_decorated(cell: str, delimiter: str | None) -> bool:
     """Whether a cell is a number and something else, or, between blanks, a mark such as ->."""
-    if is_number(cell) or VALUE.fullmatch(cell):
+    if is_number(cell) or VALUE.fullmatch(cell) or _WITH_ZONE.fullmatch(cell):
         return False
     is_mark = delimiter is None and not any(map(str.isalnum, cell))
     return is_mark or _DECORATED.match(cell) is not None

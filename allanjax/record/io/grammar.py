@@ -29,6 +29,7 @@ from allanjax.record.io.cells import (
     without_groups,
     without_mark,
 )
+from allanjax.record.io.kinds import LONG
 from allanjax.record.io.messages import Message, Numbered, messages_in, records_of
 from allanjax.record.units import SENSORS, Sensor
 from allanjax.record.validation import Source
@@ -42,6 +43,17 @@ _RATE = re.compile(
     r"(\d+(?:\.\d+)?)\s*(k?)(?:hz|sps)?\W*$",
     re.IGNORECASE,
 )
+# Lines that are no rows of numbers before they are converted, and how.
+_RAW = {
+    r"^\s*(?:\(\d+\.\d+\)\s+)?\w*can\d+\s+[\dA-Fa-f]{3,8}(?:#|\s+\[\d+\])": (
+        "these are raw frames of a CAN bus; decode them with the description of the bus (a DBC file), e.g. "
+        "with cantools or SavvyCAN, into a table with a column per signal"
+    ),
+    r"^\W*(?:0[xX][\dA-Fa-f]+\W*){3,}$": (
+        "its numbers are hexadecimal; convert them to decimal ones, those of four digits with their sign, by "
+        "perl -pe 's/0x([0-9a-f]+)/hex($1)-(length($1)==4&&hex($1)>32767?65536:0)/gei' {path} > decimal.txt"
+    ),
+}
 # Lines of files of noise coefficients, and the targets of `export` that such a file may be of.
 _COEFFICIENTS = {
     r"^\s*\w+-axis:": "imu_utils",
@@ -201,7 +213,7 @@ def grammar_of(texts: Sequence[str], file: str, source: Source) -> Grammar:
     found = _plain(head)
     if found is None or not _is_regular(found, texts):
         found = _of_messages(head) or found
-    if found is None:
+    if found is None or _raw(head):
         raise source.error(_without_rows(head, source.label))
     before = [text.strip() for text in texts[: found.start]]
     stated = next(filter(None, map(_RATE.search, before)), None)
@@ -215,15 +227,14 @@ def grammar_of(texts: Sequence[str], file: str, source: Source) -> Grammar:
 
 def _without_rows(head: Sequence[Numbered], path: str) -> str:
     """What there is in place of rows of numbers, and what to do, in words."""
-    shown = [(number, text) for number, text in head if text.strip()]
-    number, text = shown[len(shown) // 2]
+    number, text = _middle(head)
     looked = f"{len(head)} lines" if len(head) > 1 else "line"
-    remedy = (
-        "write a line of names, such as time [s],gyro_x [deg/s],accel_x [g], and below it a row of numbers "
-        "per sample"
+    remedy = _raw(head).replace("{path}", shlex.quote(path)) or (
+        "convert it to a line of names, such as time [s],gyro_x [deg/s],accel_x [g], and below it a row of "
+        "numbers per sample"
     )
     for pattern, target in _COEFFICIENTS.items():
-        if any(re.search(pattern, text) for _, text in shown):
+        if any(re.search(pattern, text) for _, text in head):
             other = "vins-mono" if target == "kalibr" else "kalibr"
             remedy = (
                 "these are coefficients of noise and no samples; convert them, e.g. with allanjax export "
@@ -231,6 +242,17 @@ def _without_rows(head: Sequence[Numbered], path: str) -> str:
             )
             break
     return f"no row of numbers in its first {looked}; line {number + 1} is {text.strip()[:80]!r}; {remedy}"
+
+
+def _middle(head: Sequence[Numbered]) -> Numbered:
+    """Return the line in the middle of those that are not blank."""
+    shown = [(number, text) for number, text in head if text.strip()]
+    return shown[len(shown) // 2]
+
+
+def _raw(head: Sequence[Numbered]) -> str:
+    """How lines are to be converted before they are rows of numbers; "" if they are not."""
+    return next((how for pattern, how in _RAW.items() if re.search(pattern, _middle(head)[1])), "")
 
 
 def _of_messages(head: Sequence[Numbered]) -> Grammar | None:
@@ -302,7 +324,8 @@ def _first_row(lines: Sequence[_Line]) -> _Line | None:
             size = len(line.cells)
             is_short = size < len(names) and all(len(x.cells) == size for x in lines[k : k + 3])
             has_cells = fits(line.cells, len(names)) or is_short
-            if any(map(is_axis, names)) and has_cells and _are_plain(names, line):
+            names_columns = any(map(is_axis, names)) or set(names) >= set(LONG)
+            if names_columns and has_cells and _are_plain(names, line):
                 return line._replace(cells=line.cells[: len(names)])
     rows = [line for line in lines if 0 < len(trimmed(line.cells)) <= 2 * line.numbers]
     if not rows:
