@@ -203,3 +203,49 @@ def test_what_has_to_be_converted_first_is_named(tmp_path):
     path.write_text(done.stdout)
     recording = aj.read(path, gyro_unit="deg/s/131", rate=RATE)
     np.testing.assert_allclose(recording.values, counts * DEG / 131.0, rtol=1e-12)
+
+
+# Names of three rates and three accelerations, which are told by them alone or by their units.
+NAMED = {
+    "Arduino": ["GyX", "GyY", "GyZ", "AcX", "AcY", "AcZ"],
+    "a unit": ["imu0_gx", "imu0_gy", "imu0_gz", "imu0_ax", "imu0_ay", "imu0_az"],
+    "axes first": ["X Gyro", "Y Gyro", "Z Gyro", "X Accel", "Y Accel", "Z Accel"],
+    "German": [f"{name} {axis}" for name in ("Drehrate", "Beschleunigung") for axis in "XYZ"],
+    "rates": ["Rollrate", "Pitchrate", "Yawrate", "LongAcc", "LatAcc", "VertAcc"],
+    "letters": ["p", "q", "r", "Fx", "Fy", "Fz"],
+}
+
+
+@pytest.mark.parametrize("how", NAMED)
+def test_axes_of_any_names_are_x_y_and_z(read, how):
+    """So that gravity verifies the unit."""
+    rows = [
+        f"{k / RATE},{','.join(map(str, row))}" for k, row in enumerate(np.hstack([GYRO, ACCEL]).tolist())
+    ]
+    units = np.repeat(["deg/s", "g"], 3)
+    lines = [",".join(["time [s]", *(f"{x} [{u}]" for x, u in zip(NAMED[how], units, strict=True))]), *rows]
+    recording = is_right(read(lines), ACCEL)
+    assert noted(recording, f"gyro_x from '{NAMED[how][0]}", f"accel_z from '{NAMED[how][5]}")
+
+
+def test_two_units_in_a_table_keep_their_names(read):
+    names = [f"imu{unit}_g{axis}_dps" for unit in (0, 1) for axis in "xyz"]
+    lines = [",".join(["t_s", *names])]
+    lines += [f"{k / RATE},{x},{y},{z},{z},{x},{y}" for k, (x, y, z) in SAMPLES]
+    assert read(lines).names == tuple(names)
+    is_right(read(lines, columns=",".join(names[:3])))
+
+
+def test_columns_that_are_proposed_are_those_that_were_named(tmp_path):
+    """The names that tell x, y and z, and what they may be; times first where that makes threes."""
+    path = tmp_path / "log.csv"
+    names = ["k", "Ax1", "fx", "fy", "fz", "hx", "hy", "hz", "level"]
+    path.write_text(
+        "\n".join([",".join(names), *(f"{k},1,{x},{y},{z},{x},{y},{z},1" for k, (x, y, z) in SAMPLES)])
+    )
+    proposed = "-,-,accel_x,accel_y,accel_z,gyro_x,gyro_y,gyro_z,-"
+    refused(path, f"columns='{proposed}'|if fx, fy, fz, hx, hy, hz are these")
+    recording = aj.read(path, columns=proposed, accel_unit="g", gyro_unit="deg/s", rate=RATE)
+    np.testing.assert_allclose(recording["gyro"].values, GYRO * DEG, rtol=1e-12)
+    np.save(tmp_path / "log.npy", np.column_stack([STEP / RATE, GYRO]))
+    refused(tmp_path / "log.npy", "e.g. time,gyro_x,gyro_y,gyro_z")

@@ -16,9 +16,11 @@ from allanjax.record.columns import (
     by_unit,
     default_names,
     distinct,
+    in_directions,
     may_be_time,
     recognise,
     split_unit,
+    triads,
 )
 from allanjax.record.io.options import ReadOptions
 from allanjax.record.io.table import Columns, Table, is_numeric
@@ -73,7 +75,7 @@ class Layout:
         for column in found:
             axis = by_unit(column)
             named.append(column if axis.sensor in sensors else axis)
-        columns = tuple(c for c in named if c.role == "axis" and c.index not in in_clock)
+        columns = tuple(in_directions([c for c in named if c.role == "axis" and c.index not in in_clock]))
         _check_is_recording(table, found, columns, clock)
         columns = distinct(columns, table.source)
         _check_all_used(table, columns, clock, first, options)
@@ -316,15 +318,25 @@ def _check_is_recording(
             "read it with read_curve, or give --curve to characterize and compare"
         )
     if not axes:
-        # Samples usually come last, of two sensors or of one.
-        unknown = [column for column in found if column.role == "auxiliary"]
-        size = next((n for n in (6, 3) if len(unknown) >= n), len(unknown))
-        some = dict(zip(unknown[-size:], EXAMPLE[1:], strict=False)) if size else {}
+        some = _likely([column for column in found if column.role == "auxiliary"])
         names = ",".join("time" if column.role == "time" else some.get(column, "-") for column in found)
+        told = f" if {', '.join(column.label for column in some)} are these" if some else ""
         raise table.source.error(
             f"no gyro or accelerometer column among {', '.join(column.label for column in found)}; "
-            f"name the columns in their order, - skips one, such as columns='{names}'"
+            f"name the columns in their order, - skips one, such as columns='{names}'{told}"
         )
+
+
+def _likely(unknown: Sequence[Column]) -> dict[Column, str]:
+    """Return columns that may be axes, and of which: those called x, y and z, or else the last ones."""
+    named = [column for three in triads(unknown)[:2] for column in three]
+    # Samples usually come last, of two sensors or of one.
+    size = next((n for n in (6, 3) if len(unknown) >= n), len(unknown))
+    chosen = named or unknown[len(unknown) - size :]
+    names = EXAMPLE[1:]
+    if named and chosen[0].name.casefold().startswith(("a", "f")):
+        names = (*names[3:], *names[:3])
+    return dict(zip(chosen, names, strict=False))
 
 
 def _check_all_used(
