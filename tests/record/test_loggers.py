@@ -1,5 +1,6 @@
 """Text as spreadsheets of other countries, phones, terminals and databases write it, and the same samples."""
 
+import json
 import re
 import subprocess
 
@@ -249,3 +250,94 @@ def test_columns_that_are_proposed_are_those_that_were_named(tmp_path):
     np.testing.assert_allclose(recording["gyro"].values, GYRO * DEG, rtol=1e-12)
     np.save(tmp_path / "log.npy", np.column_stack([STEP / RATE, GYRO]))
     refused(tmp_path / "log.npy", "e.g. time,gyro_x,gyro_y,gyro_z")
+
+
+TIMED = [f"{10 * k},{x},{y},{z}" for k, (x, y, z) in SAMPLES]
+
+
+def esp(k, row, colour=("", "")):
+    """A line of ESP-IDF's log."""
+    x, y, z = row
+    return f"{colour[0]}I ({330 + 10 * k}) IMU: gx={x} gy={y} gz={z} dps{colour[1]}"
+
+
+def test_logs_of_esp_idf(read):
+    """With their times, with or without colours; the unit behind the last axis is that of all."""
+    boot = ["ESP-ROM:esp32s3-20210327", "I (24) boot: ESP-IDF v5.1.2 2nd stage bootloader"]
+    for colour in (("", ""), ("\x1b[0;32m", "\x1b[0m")):
+        is_right(read([*boot, *(esp(k, row, colour) for k, row in SAMPLES)]))
+
+
+def test_units_that_were_decoded_twice(read):
+    names = [
+        f"{sensor} {axis} [{unit}]" for sensor, unit in (("Gyro", "Â°/s"), ("Acc", "m/sÂ²")) for axis in "XYZ"
+    ]
+    values = np.hstack([GYRO, (ACCEL * G0).round(5)])
+    lines = [
+        ",".join(["Time [s]", *names]),
+        *(f"{k / RATE},{','.join(map(str, x))}" for k, x in enumerate(values)),
+    ]
+    recording = read(lines)
+    np.testing.assert_allclose(recording.values, values * [*3 * [DEG], 1, 1, 1], rtol=1e-12)
+
+
+# Comments before a table without units in its header, and the size of the unit of the gyros [deg/s].
+COMMENTS = {
+    "# gyro sensitivity: 131 LSB/(deg/s)": 1.0 / 131.0,
+    "% gyro in mrad/s, acc in m/s/s": 1e-3 / DEG,
+    "// acc in g and gyr in deg/s": 1.0,
+    "# gyro_unit = dps": 1.0,
+}
+
+
+@pytest.mark.parametrize("comment", COMMENTS)
+def test_units_in_comments(read, comment):
+    lines = ["# bench log", comment, "t_ms,gx,gy,gz", *TIMED]
+    recording = read(lines)
+    np.testing.assert_allclose(recording.values, GYRO * DEG * COMMENTS[comment], rtol=1e-12)
+    assert noted(recording, "gyros in", "where columns state none")
+    labelled = [line.replace("gx,gy,gz", "gx_dps,gy_dps,gz_dps") for line in lines]
+    is_right(read(labelled))
+
+
+def test_a_range_in_a_comment_is_no_unit(tmp_path):
+    path = tmp_path / "log.csv"
+    path.write_text("\n".join(["# gyro range: 500 deg/s, gyro bias in deg/h", "t_ms,gx,gy,gz", *TIMED]))
+    refused(path, "'gx' has no unit", aj.UnitError)
+
+
+def test_units_beside_names_in_documents(tmp_path):
+    """Keys of JSON: of a document, of objects in an array and of text in a message; arrays of NumPy."""
+    columns = {f"gyro.{axis}": x.tolist() for axis, x in zip("xyz", GYRO.T, strict=True)}
+    records = [{"t": k / RATE, "gyro": row, "gyro_unit": "dps"} for k, row in SAMPLES]
+    payloads = [{"ts": 1_709_290_800_000 + 10 * k, "payload": json.dumps(x)} for k, x in enumerate(records)]
+    texts = {
+        "keys": json.dumps({"fs": RATE, "gyro_unit": "deg/s", **columns}),
+        "an object": json.dumps({"fs": RATE, "units": {"gyro": "deg/s"}, **columns}),
+        "records": json.dumps(records),
+        "payloads": "\n".join(map(json.dumps, payloads)),
+    }
+    for name, text in texts.items():
+        (path := tmp_path / f"{name}.json").write_text(text)
+        is_right(aj.read(path, columns="ts,gyro" if name == "payloads" else None))
+    np.savez(tmp_path / "log.npz", fs=RATE, gyro=GYRO, gyro_unit="deg/s")
+    assert noted(is_right(aj.read(tmp_path / "log.npz")), "unit deg/s from 'gyro_unit'")
+
+
+def test_attributes_of_hdf5(tmp_path):
+    h5py = pytest.importorskip("h5py")
+    with h5py.File(tmp_path / "log.h5", "w") as file:
+        for name, values, key, unit in (("gyro", GYRO, "units", "deg/s"), ("time", STEP * 10, "unit", "ms")):
+            file.create_dataset(f"run1/{name}", data=values).attrs[key] = unit
+    is_right(aj.read(tmp_path / "log.h5"))
+    np.testing.assert_allclose(np.concatenate([*aj.read_chunks(tmp_path / "log.h5", chunk=90)]), GYRO * DEG)
+
+
+@pytest.mark.parametrize("timed", [True, False])
+def test_labview(read, timed):
+    """Units and interval are in the head; the times are there or not."""
+    head = ["LabVIEW Measurement\t", "Separator\tTab", "***End_of_Header***\t", "\t", "Channels\t3\t\t\t\t"]
+    head += ["Y_Unit_Label\tdeg/s\tdeg/s\tdeg/s\t", "Delta_X\t0.010000\t0.010000\t0.010000\t"]
+    head += ["***End_of_Header***\t\t\t\t", "X_Value\tGyro X\tGyro Y\tGyro Z\tComment"]
+    rows = ["\t".join([f"{k / RATE:.6f}" if timed else "", *map(str, row)]) for k, row in SAMPLES]
+    assert noted(is_right(read([*head, *rows], "log.lvm")), "100 Hz from the line 'Delta_X")

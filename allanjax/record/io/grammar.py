@@ -7,11 +7,13 @@ import shlex
 import tomllib
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from importlib.resources import files
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from allanjax.base.errors import UnitError
 from allanjax.record.columns import recognise, split_unit, with_unit
 from allanjax.record.io.cells import (
     delimiter_beside_commas,
@@ -31,7 +33,7 @@ from allanjax.record.io.cells import (
 )
 from allanjax.record.io.kinds import LONG
 from allanjax.record.io.messages import Message, Numbered, messages_in, records_of
-from allanjax.record.units import SENSORS, Sensor
+from allanjax.record.units import SENSORS, Sensor, parse_sample_unit
 from allanjax.record.validation import Source
 
 #: So many lines at the start of a file show its grammar.
@@ -54,6 +56,15 @@ _RAW = {
         "perl -pe 's/0x([0-9a-f]+)/hex($1)-(length($1)==4&&hex($1)>32767?65536:0)/gei' {path} > decimal.txt"
     ),
 }
+_INTERVAL = re.compile(r"Delta_X\t([\d.]+(?:[eE][+-]?\d+)?)\s")
+# What states the unit of a sensor in a comment, or in a message under a name of its own; and before the names
+# of LabVIEW's columns.
+_UNIT = re.compile(
+    r"\b(gyro\w*?|gyr|acc\w*?)(?:_units?\b|\s+units?\b|\s+sensitivity\b|(?:\s+data)?\s+in\b)"
+    r"[\s:=\"'\\]+([^\"'\\,;}\n]+?)\s*(?:\band\b|[\"'\\,;}\n]|$)",
+    re.IGNORECASE,
+)
+_UNITS_OF_LABVIEW = "Y_Unit_Label"
 # Lines of files of noise coefficients, and the targets of `export` that such a file may be of.
 _COEFFICIENTS = {
     r"^\s*\w+-axis:": "imu_utils",
@@ -216,13 +227,38 @@ def grammar_of(texts: Sequence[str], file: str, source: Source) -> Grammar:
     if found is None or _raw(head):
         raise source.error(_without_rows(head, source.label))
     before = [text.strip() for text in texts[: found.start]]
-    stated = next(filter(None, map(_RATE.search, before)), None)
-    if stated is not None:
-        rate = float(stated[1]) * (1e3 if stated[2] else 1.0)
-        note = f"sample rate {rate:g} Hz from the line {stated.string[:60]!r}"
-        found = replace(found, rate=rate, notes=(*found.notes, note))
     _, row = next(found.records(head[found.start :]))
+    found = _with_rate(_with_units(found, [*filter(is_comment, before), row]), before)
     return _of_device(found, {"head": "\n".join(before), "row": row, "file": file})
+
+
+def _with_rate(found: Grammar, before: Sequence[str]) -> Grammar:
+    """Return the grammar with the sample rate that a line before the data states, or the interval."""
+    stated = next(filter(None, map(_RATE.search, before)), None)
+    interval = next(filter(None, map(_INTERVAL.match, before)), None)
+    if stated is not None:
+        line, rate = stated.string, float(stated[1]) * (1e3 if stated[2] else 1.0)
+    elif interval is not None and float(interval[1]):
+        line, rate = interval.string, 1.0 / float(interval[1])
+    else:
+        return found
+    note = f"sample rate {rate:g} Hz from the line {line[:60]!r}"
+    return replace(found, rate=rate, notes=(*found.notes, note))
+
+
+def _with_units(found: Grammar, texts: Sequence[str]) -> Grammar:
+    """Return the grammar with the units that comments and the first row state."""
+    units: dict[Sensor, str] = {}
+    for text in texts:
+        for name, unit in _UNIT.findall(text):
+            sensor = recognise(name).sensor
+            with suppress(UnitError):
+                if sensor is not None and sensor not in units:
+                    units[sensor] = parse_sample_unit(unit, sensor).name
+    if not units:
+        return found
+    told = " and ".join(f"{_SENSORS[sensor]} in {unit}" for sensor, unit in units.items())
+    return replace(found, units=units, notes=(*found.notes, f"{told} where columns state none"))
 
 
 def _without_rows(head: Sequence[Numbered], path: str) -> str:
@@ -361,7 +397,7 @@ def _with_names(found: Grammar, before: Sequence[_Line]) -> Grammar:
         header = number, _joined([x for _, x in fitting[1 - _HEADER_LINES :]]) or names
     if header is not None:
         number, names = header
-        units = _units([cells for n, cells in named if n > number])
+        units = _units([cells for n, cells in named if n > number or cells[:1] == [_UNITS_OF_LABVIEW]])
         pairs = itertools.zip_longest(names, units[: len(names)], fillvalue="")
         labels = tuple(with_unit(name, unit) for name, unit in pairs)
         notes = found.notes + _skipped([line.text for line in plain if line.number < number])
@@ -440,13 +476,14 @@ def _of_device(found: Grammar, texts: Mapping[str, str]) -> Grammar:
         units = {sensor: device[sensor] for sensor in SENSORS if sensor in device}
         said = ["columns"] if columns else []
         said += [f"{_SENSORS[sensor]} in {unit}" for sensor, unit in units.items()]
+        said = said or ["names"]
         return replace(
             found,
             fields=len(columns) or found.fields,
             labels=tuple(rename.get(label, label) for label in columns or found.labels or ()) or None,
             message=message,
             notes=(*found.notes, f"{', '.join(said)} by the format of {device['name']}"),
-            units=units,
+            units={**found.units, **units},
             sizes=device.get("sizes", {}),
         )
     return found

@@ -80,7 +80,9 @@ class Layout:
         columns = distinct(columns, table.source)
         _check_all_used(table, columns, clock, first, options)
         samples = [first[column.index] for column in columns]
-        axes, axis_notes = axes_of(columns, table.units_with(options), table.source, samples)
+        labelled = [sensor for sensor in SENSORS if all(c.unit for c in columns if c.sensor == sensor)]
+        units = table.units_with(options, labelled)
+        axes, axis_notes = axes_of(columns, units, table.source, samples)
         used = in_clock | {column.index for column in columns}
         auxiliary = tuple(c for c in found if c.index not in used and _is_channel(c, first[c.index]))
         every = (*notes, *clock_notes, *_notes_on(columns), *axis_notes)

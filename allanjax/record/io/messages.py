@@ -314,6 +314,11 @@ def _with_units(names: Sequence[str | None], values: Sequence[_Value]) -> list[s
         units[k] = units[k] or (units[k - 1] if values[k].follows else "")
     for k in reversed(range(1, len(values))):
         units[k - 1] = units[k - 1] or (units[k] if values[k].follows else "")
+    # A unit behind the last axis of a sensor is that of all.
+    sensors = [recognise(name or "").sensor for name in names]
+    for k, sensor in enumerate(sensors):
+        own = {unit for other, unit in zip(sensors, units, strict=True) if unit and other == sensor}
+        units[k] = own.pop() if sensor and len(own) == 1 else units[k]
     labels: list[str | None] = []
     for name, unit in zip(names, units, strict=True):
         label = name and with_unit(name, unit)

@@ -31,6 +31,8 @@ _MOST_ZEROS = 1e-3
 _ZEROS = re.compile(rb"\0{16,}|\0+$")
 # What spreadsheets write in place of a number; # would begin a comment.
 _NOT_AVAILABLE = re.compile(rb"#(?:N/A|DIV/0!|NUM!|VALUE!|REF!)")
+# Codes by which terminals change the colour.
+_COLOURS = re.compile(rb"\x1b\[[\d;]*[A-Za-z]")
 # Exponent of a number as Fortran writes it.
 _FORTRAN = re.compile(rb"(\d\.?)[Dd]([+-]\d\d)")
 # What stands for no number, beside what pandas knows.
@@ -133,8 +135,15 @@ def _pieces(path: Path, source: Source, notes: list[str]) -> Iterator[bytes]:
     for piece in itertools.chain([first.removeprefix(codecs.BOM_UTF8)], raw):
         text = piece if encoding == "utf-8" else decoder.decode(piece).encode()
         text = text.replace(b"\r", b"\n") if has_returns else text
-        text = _NOT_AVAILABLE.sub(b"nan", text) if b"#" in text else text
+        text = _cleaned(text)
         yield _FORTRAN.sub(rb"\1e\2", text) if is_fortran else text
+
+
+def _cleaned(text: bytes) -> bytes:
+    """Text without colours of a terminal, errors of spreadsheets, and units that were decoded wrongly."""
+    text = _NOT_AVAILABLE.sub(b"nan", text) if b"#" in text else text
+    text = _COLOURS.sub(b"", text) if b"\x1b" in text else text
+    return text.replace("Â".encode() + b"\xc2", b"\xc2")
 
 
 def _decompressed(path: Path, notes: list[str]) -> Iterator[bytes]:
