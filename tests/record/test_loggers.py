@@ -341,3 +341,17 @@ def test_labview(read, timed):
     head += ["***End_of_Header***\t\t\t\t", "X_Value\tGyro X\tGyro Y\tGyro Z\tComment"]
     rows = ["\t".join([f"{k / RATE:.6f}" if timed else "", *map(str, row)]) for k, row in SAMPLES]
     assert noted(is_right(read([*head, *rows], "log.lvm")), "100 Hz from the line 'Delta_X")
+
+
+def test_notes_count_in_plain_english(read):
+    """What is left out or skipped, once and several times; a column without a name has its number."""
+    header = ",gyro_x [deg/s],gyro_y [deg/s],gyro_z [deg/s]"
+    for count, times, lines in ((1, "1 line", "'unit 7'"), (2, "2 lines", "the first is 'unit 7'")):
+        rows = [*TIMED[:200], *[header] * count, *TIMED[200:300], *["torn line"] * count, *TIMED[300:]]
+        recording = is_right(read([*["unit 7"] * count, header, *rows], rate=RATE))
+        assert f"left out: {times} with the names again" in recording.notes
+        assert f"skipped: {times} before the data, {lines}" in recording.notes
+        assert noted(recording, f"left out: {times} without a row of numbers: line ", "'torn line'")
+        assert "auxiliary: column 1" in recording.notes
+    shown = [f"gx={x} gy={y} gz={z} deg/s" for _, (x, y, z) in SAMPLES]
+    assert noted(read(shown, rate=RATE), "the rows are messages such as 'gx=")

@@ -517,7 +517,7 @@ def test_a_damaged_message_is_a_missing_sample(tmp_path):
     refused(path, "0.02 s|line 22", **UNITS)
     recording = aj.read(path, gaps="fill", **UNITS)
     kept = np.arange(N) != 20
-    assert noted(recording, "1 lines", "line 21", "t=0.2 ")
+    assert noted(recording, "left out: 1 line without", "line 21", "t=0.2 ")
     np.testing.assert_allclose(recording.own_values[kept], NOISE[kept], rtol=1e-14)
     path.write_text(
         "\n".join(["# gx,gy,gz,ax,ay,az", *summed[:20], summed[20].replace("0.", "1.", 1), *summed[21:], ""])

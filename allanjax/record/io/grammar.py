@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from allanjax.base.errors import UnitError
+from allanjax.base.wording import counted
 from allanjax.record.columns import recognise, split_unit, with_unit
 from allanjax.record.io.cells import (
     delimiter_beside_commas,
@@ -296,7 +297,7 @@ def _of_messages(head: Sequence[Numbered]) -> Grammar | None:
     found = messages_in(head)
     if found is None:
         return None
-    kind = f"messages such as {' '.join(found.example.split())[:60]!r}"
+    kind = f"the rows are messages such as {' '.join(found.example.split())[:60]!r}"
     notes = (*_skipped([text for _, text in head[: found.start] if text.strip()]), kind)
     fields = len(found.message.cells)
     return Grammar(found.start, fields, found.labels, "\t", message=found.message, notes=notes)
@@ -450,7 +451,8 @@ def _skipped(lines: Sequence[str]) -> tuple[str, ...]:
     """Return a note on skipped lines before the data, if any."""
     if not lines:
         return ()
-    return (f"{len(lines)} lines before the data are skipped, the first is {lines[0].strip()[:60]!r}",)
+    first = f"{lines[0].strip()[:60]!r}" if len(lines) == 1 else f"the first is {lines[0].strip()[:60]!r}"
+    return (f"skipped: {counted(len(lines), 'line')} before the data, {first}",)
 
 
 @functools.cache

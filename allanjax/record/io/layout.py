@@ -106,7 +106,7 @@ def _found(table: Table, first: Columns, options: ReadOptions) -> tuple[list[Col
     if options.columns is not None:
         found = _chosen(table, len(first), options.columns)
     elif table.labels is not None:
-        repeated = _repeated(table.labels)
+        repeated = _repeated([*filter(None, table.labels)])
         if repeated:
             raise table.source.error(
                 f"several columns are called {', '.join(map(repr, repeated))}; correct the header, or name "
@@ -140,8 +140,8 @@ def _of_one_sensor(found: list[Column], options: ReadOptions, notes: list[str]) 
 
 
 def _recognised(labels: Sequence[str]) -> list[Column]:
-    """Return the columns recognised by their labels."""
-    return [replace(recognise(label), index=i) for i, label in enumerate(labels)]
+    """Return the columns recognised by their labels; one without a label has its number."""
+    return [replace(recognise(label or f"column {i + 1}"), index=i) for i, label in enumerate(labels)]
 
 
 def _as_time(column: Column, values: Cells, table: Table) -> Column:

@@ -80,7 +80,7 @@ class Table:
         return parts[0] if len(parts) == 1 else tuple(map(np.concatenate, zip(*parts, strict=True)))
 
     def units_with(self, options: ReadOptions, labelled: Container[Sensor]) -> dict[Sensor, str | None]:
-        """Return the unit of each sensor's samples: that of the options, else of the file, unless labelled."""
+        """Return the unit of each sensor: of the options, or of the file for one without labelled units."""
         given = {sensor: unit for sensor, unit in options.units.items() if unit is not None}
         own = {sensor: unit for sensor, unit in self.units.items() if sensor not in labelled}
         return {**dict.fromkeys(SENSORS), **own, **given}

@@ -14,6 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from allanjax.base.wording import counted
 from allanjax.record.io.grammar import FIRST_LINES, Grammar, grammar_of, names_axes
 from allanjax.record.io.table import Columns, Format, Table, damage_reported
 from allanjax.record.validation import Source
@@ -252,13 +253,13 @@ class _Reader:
         """Note what was left out."""
         self._counts["strange"] += self._trailing
         what = {
-            "names": "more lines of names are left out",
-            "known": "lines of other messages or tables are left out",
-            "strange": f"lines that are no rows are left out: {'; '.join(self._examples)}",
+            "names": "with the names again",
+            "known": "of other messages or tables",
+            "strange": f"without a row of numbers: {'; '.join(self._examples)}",
         }
-        for kind, left_out in what.items():
+        for kind, words in what.items():
             if self._counts[kind]:
-                self.notes.append(f"{self._counts[kind]} {left_out}")
+                self.notes.append(f"left out: {counted(self._counts[kind], 'line')} {words}")
 
     def locate(self, row: int, blocks: Iterable[_Block]) -> str:
         """Return the place of a row in words, with its text if it is damaged."""
