@@ -443,7 +443,10 @@ class Stamps:
                 Stamps(longest, self.step, self.label, self.source).grid(
                     None, gaps=False, uniform=False, force=False
                 )
-                segments = f"read the longest part without such a step ({len(longest):,} samples) with gaps='segments'; "
+                segments = (
+                    f"read the longest part without such a step ({len(longest):,} samples) with "
+                    "gaps='segments'; "
+                )
                 if len(back) < _SET * len(times):
                     # A clock that was set a few times is otherwise right.
                     why, uniform = "the clock was set", ""
