@@ -355,3 +355,20 @@ def test_notes_count_in_plain_english(read):
         assert "auxiliary: column 1" in recording.notes
     shown = [f"gx={x} gy={y} gz={z} deg/s" for _, (x, y, z) in SAMPLES]
     assert noted(read(shown, rate=RATE), "the rows are messages such as 'gx=")
+
+
+def test_messages_with_the_same_axes_are_not_left_out(tmp_path):
+    """A word that varies behind them makes them no other messages, which a log may have."""
+    path = tmp_path / "log.txt"
+    for states, others, words in (
+        (["idle", "moving"], [], "line 2, 'gx=|is moving', has|and 198 more"),
+        (["idle"], ["mag x=1"], ""),
+    ):
+        lines = []
+        for k, (x, y, z) in SAMPLES:
+            lines += [f"gx={x} gy={y} gz={z} is {states[k % len(states)]}", *others]
+        path.write_text("\n".join(lines))
+        if words:
+            refused(path, words, gyro_unit="deg/s", rate=RATE)
+        else:
+            assert noted(is_right(aj.read(path, gyro_unit="deg/s", rate=RATE)), "400 lines of other messages")

@@ -144,14 +144,21 @@ def messages_in(head: Sequence[Numbered]) -> Found | None:
             examples = [record for record in records if _shape(record[1]) == shape]
             found = _found(shape, examples, [text for n, text in head if n < examples[0][0]], mark)
             if found is not None and (best is None or found.axes > best.axes):
-                others = frozenset(other for other in words if _letters(other) != _letters(shape))
+                kinds = {_shape(text): text for _, text in records}
+                others = frozenset(x for x in words if not _are_alike(x, kinds[x], shape, found))
                 best = found._replace(message=replace(found.message, others=others))
     return best
 
 
-def _letters(shape: str) -> str:
-    """A shape without digits: messages that differ but in these are of one kind."""
-    return re.sub(r"[\d_]+", "", shape)
+def _are_alike(other: str, text: str, shape: str, found: Found) -> bool:
+    """Whether a shape, of which a text is an example, is that of unusual messages like those found.
+
+    These differ in digits of words alone, or name the same axes: to leave them out would leave gaps.
+    """
+    if re.sub(r"[\d_]+", "", other) == re.sub(r"[\d_]+", "", shape):
+        return True
+    axes = {label for label in found.labels or () if is_axis(label)}
+    return bool(axes) and axes <= {*_labels_of(text, [])}
 
 
 def _openings(head: Sequence[Numbered]) -> list[str]:
