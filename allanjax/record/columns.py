@@ -3,6 +3,7 @@
 import difflib
 import os
 import re
+import unicodedata
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
@@ -36,10 +37,12 @@ if TYPE_CHECKING:
 #: Roles of columns, explained at `Column`.
 Role = Literal["axis", "time", "counter", "cluster time", "auxiliary"]
 
-# Patterns of the sensors' names, and of the names of increments.
+# Patterns of the sensors' names, in several languages, and of the names of increments.
 _ALIASES: dict[Sensor, str] = {
-    "gyro": r"gyro(?:scopes?|meter)?|gyr|omega|ang(?:ular)?_?vel(?:ocity)?|ang(?:ular)?_?rate|rotation_?rate",
-    "accel": r"accel(?:eration|erometer)?|acc|lin(?:ear)?_?acc(?:el(?:eration)?)?|specific_?force",
+    "gyro": r"gyro(?:scopes?|meter)?|gyr|omega|ang(?:ular|l)?_?vel(?:ocity)?|ang(?:ular)?_?rate|rotation_?rate"
+    r"|velocidad_?angular|vitesse_?angulaire|velocita_?angolare|winkelgeschwindigkeit|drehrate|角速度",
+    "accel": r"accel(?:eration|erometer)?|acc|lin(?:ear)?_?acc(?:el(?:eration)?)?|specific_?force"
+    r"|aceleracion|accelerazione|beschleunigung|加速度",
 }
 _INCREMENTS: dict[Sensor, str] = {
     "gyro": r"delta_?(?:angle|theta)|d_?theta|d_?ang(?:le)?",
@@ -72,12 +75,14 @@ _ELEMENT = re.compile(r"(?:\[[012]\]|\([123]\))$")
 
 # Patterns of units within a name, as in `gyro_x_dps`, `gyro_rad_x`; PX4's gyro_rad is in rad/s.
 _UNIT_SUFFIXES = {
-    "deg/s": "dps|deg_s|degps",
-    "rad/s": "rad_s|radps|(?<=gyro_)rad",
+    "deg/s": "dps|degs|deg_?(?:per_?|p)?s(?:ec)?",
+    "rad/s": "rps|rads|rad_?(?:per_?|p)?s(?:ec)?|(?<=gyro_)rad",
     "m/s²": "m_s2|mps2|ms2",
     "mg": "mg",
     "g": "g",
 }
+# Units of rates at the end of any name; `roll_degs` is an angle.
+_RATE_SUFFIX = re.compile(r".+_(?:(dps|deg_s|degps)|rad_s|radps)")
 # Names of time stamps, alone, with a unit at the end, and of one part of a pair of seconds and parts of them.
 _TIME = re.compile(
     r"(?:.*_)?(?:time|timestamp|time_stamp|stamp)(?:_(?:fine|unix|utc|gps|sample|gyro|gyr|accel|acc|imu))*"
@@ -100,6 +105,14 @@ _MAYBE_TIME = re.compile(
 # Names of the cluster times of Allan curves, which are no recordings.
 _CLUSTER_TIME = re.compile(r"taus?|(?:cluster|averaging|correlation)_time")
 
+# Names of three columns that are a sensor's axes only together, and sensors that must be beside them.
+_TOGETHER: tuple[tuple[Sensor, tuple[Sensor, ...], tuple[str, str, str]], ...] = (
+    ("gyro", (), ("p", "q", "r")),
+    ("gyro", (), ("roll_?rate", "pitch_?rate", "yaw_?rate")),
+    ("gyro", (), ("d_?roll", "d_?pitch", "d_?yaw")),
+    ("gyro", ("accel",), ("rate_?x", "rate_?y", "rate_?z")),
+    ("accel", ("gyro",), ("f_?x", "f_?y", "f_?z")),
+)
 
 # Units in examples of a header.
 _USUAL: dict[Sensor, str] = {"gyro": "deg/s", "accel": "m/s^2"}
@@ -146,8 +159,8 @@ def recognise(label: str) -> Column:
             return axis
     known = _axis(label, words, unit) or _time(label, stem, words, unit)
     if known is None and unit is None:
-        match = re.fullmatch(rf"(.+)_(?:{_UNIT_SUFFIXES['deg/s']}|({_UNIT_SUFFIXES['rad/s']}))", words)
-        unit = ("rad/s" if match[2] else "deg/s") if match else None
+        match = _RATE_SUFFIX.fullmatch(words)
+        unit = ("deg/s" if match[1] else "rad/s") if match else None
     return known or Column(label, "auxiliary", stem, unit=unit)
 
 
@@ -160,6 +173,23 @@ def by_unit(column: Column) -> Column:
             if parse_sample_unit(column.unit, sensor).quantity == "rate":
                 return replace(column, role="axis", sensor=sensor)
     return column
+
+
+def together(columns: Sequence[Column]) -> list[Column]:
+    """Return columns; three that are a sensor's axes together are these, unless there is one of the sensor."""
+    found = list(columns)
+    for sensor, others, words in _TOGETHER:
+        axes = {column.name for column in found if column.role == "axis"}
+        beside = {f"{other}_{axis}" for other in others for axis in "xyz"}
+        if not beside <= axes or any(name.startswith(sensor) for name in axes):
+            continue
+        free = [column for column in found if column.role == "auxiliary"]
+        three = [next((c for c in free if re.fullmatch(word, _words(c.name))), None) for word in words]
+        for axis, column in zip("xyz", three if None not in three else (), strict=False):
+            if column is not None:
+                own = replace(column, role="axis", sensor=sensor, name=f"{sensor}_{axis}")
+                found[found.index(column)] = own if column.unit is None else by_unit(column)
+    return found
 
 
 def in_directions(columns: Sequence[Column]) -> list[Column]:
@@ -224,9 +254,14 @@ def elements_of(label: str, count: int) -> list[str]:
 
 
 def _words(stem: str) -> str:
-    """Return a name as lower-case words joined by underscores, e.g. for `GyroX`, `gyro.x` or `gyro[0]`."""
+    """Return a name as lower-case words joined by underscores, e.g. for `GyroX`, `gyro.x` or `gyro[0]`.
+
+    They are without accents; Chinese characters stay.
+    """
     stem = re.sub(r"(?<=[a-z])(?=[A-Z])", "_", stem)
-    return re.sub(r"[^a-z0-9]+", "_", stem.lower()).strip("_")
+    if not stem.isascii():
+        stem = re.sub(r"(?<=[a-z])[\u0300-\u036f]", "", unicodedata.normalize("NFD", stem.lower()))
+    return re.sub(r"[^a-z0-9\u4e00-\u9fff]+", "_", stem.lower()).strip("_")
 
 
 def _axis(label: str, words: str, unit: str | None) -> Column | None:

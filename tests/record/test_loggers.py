@@ -229,6 +229,63 @@ def test_axes_of_any_names_are_x_y_and_z(read, how):
     assert noted(recording, f"gyro_x from '{NAMED[how][0]}", f"accel_z from '{NAMED[how][5]}")
 
 
+SIX_AXES = np.hstack([GYRO, ACCEL])
+# Names without units of three rates, and of three accelerations beside them if these are needed.
+UNITLESS = {
+    "Linux": (["in_anglvel_x_raw", "in_anglvel_y_raw", "in_anglvel_z_raw"], "in_accel_{}_raw"),
+    "short Linux": (["anglvel_x", "anglvel_y", "anglvel_z"], "accel_{}"),
+    "body rates": (["p", "q", "r"], "a{}"),
+    "body rates alone": (["p", "q", "r"], ""),
+    "of angles": (["roll_rate", "pitch_rate", "yaw_rate"], "f{}"),
+    "in one word": (["rollRate", "pitchRate", "yawRate"], ""),
+    "derivatives": (["droll", "dpitch", "dyaw"], "acc_{}"),
+    "rates": (["rate_x", "rate_y", "rate_z"], "acc_{}"),
+    "Spanish": ([f"velocidad angular {axis}" for axis in "xyz"], "aceleración_{}"),
+    "French": ([f"vitesse_angulaire_{axis}" for axis in "xyz"], "accélération_{}"),
+    "Italian": ([f"Velocità angolare {axis}" for axis in "XYZ"], "Accelerazione {}"),
+    "German": ([f"Winkelgeschwindigkeit {axis}" for axis in "XYZ"], "Beschleunigung {}"),
+    "Chinese": ([f"角速度{axis}" for axis in "XYZ"], "加速度{}"),
+}
+
+
+@pytest.mark.parametrize("how", UNITLESS)
+def test_names_that_tell_the_sensor_without_a_unit(tmp_path, read, how):
+    """A rate by its name is never an auxiliary channel: its unit is asked for."""
+    names, other = UNITLESS[how]
+    header = ["time [s]", *names, *(other.format(axis) for axis in "xyz" if other)]
+    lines = [",".join(header), *(",".join(map(str, row[: len(header)])) for row in timed(SIX_AXES))]
+    (tmp_path / "log.csv").write_text("\n".join(lines), encoding="utf-8")
+    units = {"gyro_unit": "deg/s", **({"accel_unit": "g"} if other else {})}
+    refused(tmp_path / "log.csv", f"{names[0]}|gyro_unit=", aj.UnitError)
+    is_right(read(lines, **units), ACCEL if other else None)
+
+
+def timed(values):
+    return [(k / RATE, *row) for k, row in enumerate(values.tolist())]
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        *(f"gyro_{{}}_{unit}" for unit in ("degs", "degps", "degpersec", "deg_per_s", "dps")),
+        *("gyr{}_degs", "GyroX_DegPerSec".replace("X", "{}"), "ω{}_degps"),
+        *(f"gyro_{{}}_{unit}" for unit in ("rads", "radps", "radpersec", "rad_per_sec", "rps", "rad_s")),
+    ],
+)
+def test_units_at_the_end_of_names(read, name):
+    """A gyro whose unit is not told apart from its name would be no axis beside accelerometers."""
+    in_rad = "rad" in name or "rps" in name
+    values = np.hstack([GYRO * DEG if in_rad else GYRO, ACCEL])
+    header = ["t_s", *(name.format(axis) for axis in "xyz"), *(f"acc_{axis}_g" for axis in "xyz")]
+    is_right(read([",".join(header), *(",".join(map(str, row)) for row in timed(values))]), ACCEL)
+
+
+def test_angles_with_units_at_the_end_of_names_are_no_rates(read):
+    header = [*("t_s", "gyro_x_dps", "gyro_y_dps", "gyro_z_dps"), *("roll_rads", "pitch_rads", "yaw_rads")]
+    lines = [",".join(header), *(",".join(map(str, row)) for row in timed(SIX_AXES))]
+    assert [*is_right(read(lines)).auxiliary] == header[4:]
+
+
 def test_two_units_in_a_table_keep_their_names(read):
     names = [f"imu{unit}_g{axis}_dps" for unit in (0, 1) for axis in "xyz"]
     lines = [",".join(["t_s", *names])]

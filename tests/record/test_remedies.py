@@ -80,7 +80,7 @@ OF_TEXT = {
     # Units.
     "no accel unit": (text(SIX), DEG_S, "accel_x|accel_unit=|--accel-unit", aj.UnitError),
     # Columns.
-    "no axis": (text(["p", "q", "r"]), RATE, "p, q, r|--columns"),
+    "no axis": (text(["u", "v", "w"]), RATE, "u, v, w|--columns"),
     "unknown column": (text(), {**RATE, "columns": "gyro_x,gyro_q"}, "--columns|gyro_q|gyro_z [deg/s]"),
     "column twice": (text(), {**RATE, "columns": "gyro_x,gyro_x,-"}, "columns=|gyro_x"),
     "too few entries": (text(SIX), {**RATE, "columns": "a,-"}, "columns|a"),

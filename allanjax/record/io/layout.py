@@ -21,6 +21,7 @@ from allanjax.record.columns import (
     may_be_time,
     recognise,
     split_unit,
+    together,
     triads,
 )
 from allanjax.record.io.absent import unwrapped
@@ -133,20 +134,7 @@ def _found(table: Table, first: Columns, options: ReadOptions) -> tuple[list[Col
         found = _recognised(names)
         notes.append(f"the columns have no names; they are assumed to be {', '.join(names)}")
     found = [_as_time(column, first[column.index], table) for column in found]
-    return _of_one_sensor(_with_specific_force(found), options, notes), notes
-
-
-def _with_specific_force(found: list[Column]) -> list[Column]:
-    """Return columns f_x, f_y and f_z beside the three axes of a gyro as those of an accelerometer."""
-    force = {c.name.casefold().replace("_", ""): c for c in found if c.role == "auxiliary"}
-    axes = [column.name for column in found if column.role == "axis"]
-    if not {"fx", "fy", "fz"} <= {*force} or sorted(axes) != ["gyro_x", "gyro_y", "gyro_z"]:
-        return found
-    for axis in "xyz":
-        column = force[f"f{axis}"]
-        named = replace(column, role="axis", sensor="accel", name=f"accel_{axis}")
-        found[found.index(column)] = named if column.unit is None else by_unit(column)
-    return found
+    return _of_one_sensor(together(found), options, notes), notes
 
 
 def _of_one_sensor(found: list[Column], options: ReadOptions, notes: list[str]) -> list[Column]:
