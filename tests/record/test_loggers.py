@@ -286,6 +286,62 @@ def test_angles_with_units_at_the_end_of_names_are_no_rates(read):
     assert [*is_right(read(lines)).auxiliary] == header[4:]
 
 
+ACCEL_G, GYRO_DEG = [f"a{axis} [g]" for axis in "xyz"], [f"g{axis} [deg/s]" for axis in "xyz"]
+# Names of three columns beside accelerometers or a gyro that do not tell what these are, and some that do.
+UNTOLD = [
+    *(["foo_x", "foo_y", "foo_z"], ["foo[0]", "foo[1]", "foo[2]"], ["u0 [LSB]", "u1 [LSB]", "u2 [LSB]"]),
+    *(["gyro_roll", "gyro_pitch", "gyro_yaw"], ["x", "y", "z"], ["xrot", "yrot", "zrot"]),
+]
+TOLD = [
+    *(["mx", "my", "mz"], ["mag_x", "mag_y", "mag_z"], ["u_x [uT]", "u_y [uT]", "u_z [uT]"]),
+    *(["roll", "pitch", "yaw"], ["q_x", "q_y", "q_z"], ["euler_x", "euler_y", "euler_z"]),
+    *(["gravity_x", "gravity_y", "gravity_z"], ["temp0", "temp1", "temp2"], ["one", "two", "three"]),
+    *(["pos.x", "pos.y", "pos.z"], ["vel_x", "vel_y", "vel_z"], ["gyro_temp", "gyro_status", "gyro_id"]),
+]
+
+
+@pytest.mark.parametrize("names", UNTOLD)
+@pytest.mark.parametrize("recognised", [ACCEL_G, GYRO_DEG])
+def test_three_columns_beside_one_sensor_are_never_left_out_in_silence(tmp_path, names, recognised):
+    """The message names both ways: they are the other sensor, or the one that is recognised is read alone."""
+    is_accel = recognised is ACCEL_G
+    if not is_accel and names[0].startswith("gyro"):
+        names = [name.replace("gyro", "foo") for name in names]
+    header = ["time [s]", *recognised, *names, "temp"]
+    values = np.hstack([ACCEL, GYRO, GYRO[:, :1]] if is_accel else [GYRO, ACCEL, GYRO[:, :1]])
+    path = tmp_path / "log.csv"
+    path.write_text("\n".join([",".join(header), *(",".join(map(str, row)) for row in timed(values))]))
+    other = SIX[:3] if is_accel else SIX[3:]
+    both = ",".join([*header[:4], *other, "-"])
+    alone = "accel" if is_accel else "gyro"
+    told = f"{names[0]}|columns='{both}'|(--columns '{both}')|columns='{alone}'|(--columns {alone})"
+    refused(path, told)
+    recording = aj.read(path, columns=both, gyro_unit="deg/s", accel_unit="g")
+    np.testing.assert_allclose(recording["gyro"].values, GYRO * DEG, rtol=1e-12)
+    np.testing.assert_allclose(recording["accel"].values, ACCEL * G0, rtol=1e-12)
+    assert aj.read(path, columns=alone).names == (SIX[3:] if is_accel else SIX[:3])
+    # What never changes has no samples of a sensor.
+    path.write_text(
+        "\n".join([",".join(header), *(",".join(map(str, [*row[:4], 0, 0, 0, 1])) for row in timed(values))])
+    )
+    assert [*aj.read(path).auxiliary] == [*(name.partition(" ")[0] for name in names), "temp"]
+
+
+@pytest.mark.parametrize("names", TOLD)
+def test_what_names_or_units_say_is_read_beside_one_sensor(read, names):
+    header = ["time [s]", *ACCEL_G, *names]
+    rows = [",".join(map(str, row)) for row in timed(np.hstack([ACCEL, GYRO]))]
+    recording = read([",".join(header), *rows])
+    assert recording.names == SIX[3:]
+    assert [*recording.auxiliary] == [name.partition(" ")[0] for name in names]
+
+
+def test_a_name_that_begins_with_gyro_beside_a_gyro_is_noted(read):
+    header = ["time [s]", *GYRO_DEG, "gyro_total"]
+    lines = [",".join(header), *(",".join(map(str, row[:5])) for row in timed(SIX_AXES))]
+    assert noted(is_right(read(lines)), "'gyro_total' read beside the axes")
+
+
 def test_two_units_in_a_table_keep_their_names(read):
     names = [f"imu{unit}_g{axis}_dps" for unit in (0, 1) for axis in "xyz"]
     lines = [",".join(["t_s", *names])]

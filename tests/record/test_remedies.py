@@ -231,6 +231,13 @@ REMEDIES = {
     ),
     "in turn": (text(BOTH, cells=IN_TURN, times=TIMES), {}, {50.0}),
     "kinds": (in_turn, {}, {100.0}),
+    "another sensor?": (text(["ax [g]", "ay [g]", "az [g]", "u0", "u1", "u2"], times=TIMES), {}, {100.0}),
+    "axes by units": (
+        text(["Rx [deg/s]", "Ry [deg/s]", "Rz [deg/s]", "u_x", "u_y", "u_z"], times=TIMES, label="zeit [s]"),
+        {},
+        {100.0},
+    ),
+    "gyro by its first letters": (text([*HEADER[3:], "gyro_total"], times=TIMES), {}, {100.0}),
     "two sensors": (of_two, {}, {100.0}),
     "another sensor": (of_two, {"instance": 4}, {100.0}),
     "no such time": (text(times=TIMES), {"time": "clock"}, {100.0}),
