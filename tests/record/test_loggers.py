@@ -485,3 +485,66 @@ def test_messages_with_the_same_axes_are_not_left_out(tmp_path):
             refused(path, words, gyro_unit="deg/s", rate=RATE)
         else:
             assert noted(is_right(aj.read(path, gyro_unit="deg/s", rate=RATE)), "400 lines of other messages")
+
+
+MPU = np.random.default_rng(5).normal([150, -90, 16_400, 37, -39, 20], 30.0, (N, 6)).round().astype(int)
+
+
+@pytest.mark.parametrize("names", ["a/g", "a/g/m"])
+@pytest.mark.parametrize("stamp", [lambda k: "", lambda k: f"{clock(k)} -> "])
+def test_counts_of_the_examples_for_mpu6050(tmp_path, read, names, stamp):
+    """Accelerometers, gyros and a magnetometer without units, of which g is none."""
+    other = "\t7\t8\t9" if names.endswith("m") else ""
+    tail = ["\t".join(map(str, row)) for row in MPU.tolist()]
+    lines = ["Initializing I2C devices...", "MPU6050 connection successful"]
+    lines += [f"{stamp(k)}{names}:\t{row}{other}" for k, row in enumerate(tail)]
+    (tmp_path / "mpu.log").write_text("\n".join(lines))
+    refused(tmp_path / "mpu.log", "accel_unit='g/16384'|gyro_unit=|'deg/s/131'", aj.UnitError)
+    rate = {} if stamp(0) else {"rate": RATE}
+    recording = read(lines, "mpu.log", accel_unit="g/16384", gyro_unit="deg/s/131", **rate)
+    assert (recording.names, recording.rate) == (SIX[3:] + SIX[:3], pytest.approx(RATE))
+    np.testing.assert_allclose(recording["accel"].values, MPU[:, :3] * G0 / 16384, rtol=1e-12)
+    np.testing.assert_allclose(recording["gyro"].values, MPU[:, 3:] * DEG / 131, rtol=1e-12)
+
+
+CHINESE = ["时间", *(f"角速度{x}(°/s)" for x in "XYZ"), *(f"加速度{x}(g)" for x in "XYZ"), "温度(℃)"]
+
+
+def test_chinese_names_in_their_encoding(tmp_path):
+    """With a line before them; the same text in UTF-8 is read alike, without a note."""
+    path = tmp_path / "维特.txt"
+    rows = ["\t".join(map(str, [f"2024-03-05 {clock(k)}", *x, 25.0])) for k, x in enumerate(SIX_AXES)]
+    text = "\n".join(["开始时间： 2024-03-05 12:00:00", "\t".join(CHINESE), *rows, ""])
+    for encoding in ("gb18030", "utf-8"):
+        path.write_bytes(text.encode(encoding))
+        recording = is_right(aj.read(path), ACCEL)
+        assert noted(recording, "GB18030") == (encoding == "gb18030")
+        assert [*recording.auxiliary] == ["温度"]
+
+
+@pytest.mark.parametrize(
+    ("encoding", "first", "unit"),
+    [("latin-1", "Température", "°/s"), ("latin-1", "Größe µT", "°/s"), ("cp1251", "Гироскоп", "deg/s")],
+)
+def test_other_encodings_are_not_chinese(tmp_path, encoding, first, unit):
+    path = tmp_path / "log.csv"
+    header = [first, "time [s]", *(f"Gyro {axis} [{unit}]" for axis in "XYZ")]
+    rows = [",".join(map(str, [k % 7, *x])) for k, x in enumerate(timed(GYRO))]
+    path.write_bytes("\n".join([",".join(header), *rows]).encode(encoding))
+    recording = is_right(aj.read(path))
+    assert not noted(recording, "GB18030")
+    assert [*recording.auxiliary] == [first.encode(encoding).decode("latin-1")]
+
+
+@pytest.mark.parametrize("mark", ["%", "#"])
+@pytest.mark.parametrize("letter", ["", "gyro_"])
+def test_names_and_units_in_comments_above_the_data(read, mark, letter):
+    """In two lines of a head of several, as a program for fibre-optic gyros writes them."""
+    names = [letter + x for x in ("pqr" if not letter else "xyz")]
+    lines = ["FOG IMU static test, serial 0042", f"week TOW {' '.join(names)} fx fy fz temp"]
+    lines += [f"[-]  [s]  {'[deg/h] ' * 3} {'[ug] ' * 3} [-]", "end of the head"]
+    rows = np.hstack([GYRO * 3600.0, ACCEL * 1e6]).tolist()
+    data = [f"2304 {302_400 + k / RATE:.2f} {' '.join(map(str, row))} 25" for k, row in enumerate(rows)]
+    recording = read([*(f"{mark} {line}" for line in lines), *data], "log.dat")
+    assert [axis.unit for axis in recording.axes] == [*["deg/h"] * 3, *["µg"] * 3]
+    is_right(recording, ACCEL)

@@ -385,8 +385,8 @@ def _check_none_missed(
     what = "a gyro" if missing[0] == "gyro" else "an accelerometer"
     raise table.source.error(
         f"columns {', '.join(repr(column.label) for column in may_be)} may be {what}, but no name says so; "
-        f"if they are, name all in their order, - skips one: columns='{_in_order(both, len(first))}', or read "
-        f"only {', '.join(column.label for column in axes)} with columns='{others_only}'"
+        f"if they are, name all in their order, - skips one: columns='{_in_order(both, len(first))}', or "
+        f"read only {', '.join(column.label for column in axes)} with columns='{others_only}'"
     )
 
 

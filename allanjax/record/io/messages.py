@@ -302,7 +302,7 @@ def _known(words: Sequence[str], element: str) -> str | None:
 
 
 def _names_of(values: Sequence[_Value]) -> Iterator[str | None]:
-    """Yield the name of each number; three numbers after the name of a sensor are its axes, six those of two."""
+    """Yield the name of each number; three numbers after a sensor are its axes, six those of two."""
     k = 0
     while k < len(values):
         words = values[k].words
