@@ -258,6 +258,7 @@ def test_names_that_tell_the_sensor_without_a_unit(tmp_path, read, how):
     units = {"gyro_unit": "deg/s", **({"accel_unit": "g"} if other else {})}
     refused(tmp_path / "log.csv", f"{names[0]}|gyro_unit=", aj.UnitError)
     is_right(read(lines, **units), ACCEL if other else None)
+    is_right(read(lines, columns="gyro", gyro_unit="deg/s"))
 
 
 def timed(values):

@@ -229,7 +229,7 @@ def _picked(labels: Sequence[str], names: Sequence[str], matches: Sequence[Seque
     units: dict[int, str | None] = {}
     for name, match in zip(names, matches, strict=True):
         units |= dict.fromkeys(match, split_unit(name)[1])
-    columns = _recognised(labels)
+    columns = together(_recognised(labels))
     kept = [c for c in columns if c.index in units or c.role in ("time", "counter")]
     return [replace(c, unit=units.get(c.index) or c.unit) for c in kept]
 
@@ -241,7 +241,7 @@ def _match(table: Table, name: str, by_position: bool) -> tuple[int, ...]:
     none.
     """
     labels = table.labels or ()
-    columns = [recognise(label) for label in labels]
+    columns = together(_recognised(labels))
     stem = split_unit(name)[0]
     keys: list[tuple[str, Iterable[str]]] = [
         (name, (label.strip() for label in labels)),
