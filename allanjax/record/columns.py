@@ -3,6 +3,7 @@
 import difflib
 import os
 import re
+import unicodedata
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
@@ -36,10 +37,12 @@ if TYPE_CHECKING:
 #: Roles of columns, explained at `Column`.
 Role = Literal["axis", "time", "counter", "cluster time", "auxiliary"]
 
-# Patterns of the sensors' names, and of the names of increments.
+# Patterns of the sensors' names, in several languages, and of the names of increments.
 _ALIASES: dict[Sensor, str] = {
-    "gyro": r"gyro(?:scopes?|meter)?|gyr|omega|ang(?:ular)?_?vel(?:ocity)?|ang(?:ular)?_?rate|rotation_?rate",
-    "accel": r"accel(?:eration|erometer)?|acc|lin(?:ear)?_?acc(?:el(?:eration)?)?|specific_?force",
+    "gyro": r"gyro(?:scopes?|meter)?|gyr|omega|ang(?:ular|l)?_?vel(?:ocity)?|ang(?:ular)?_?rate"
+    r"|rotation_?rate|velocidad_?angular|vitesse_?angulaire|velocita_?angolare|winkelgeschwindigkeit|drehrate|角速度",
+    "accel": r"accel(?:eration|erometer)?|acc|lin(?:ear)?_?acc(?:el(?:eration)?)?|specific_?force"
+    r"|aceleracion|accelerazione|beschleunigung|加速度",
 }
 _INCREMENTS: dict[Sensor, str] = {
     "gyro": r"delta_?(?:angle|theta)|d_?theta|d_?ang(?:le)?",
@@ -72,12 +75,14 @@ _ELEMENT = re.compile(r"(?:\[[012]\]|\([123]\))$")
 
 # Patterns of units within a name, as in `gyro_x_dps`, `gyro_rad_x`; PX4's gyro_rad is in rad/s.
 _UNIT_SUFFIXES = {
-    "deg/s": "dps|deg_s|degps",
-    "rad/s": "rad_s|radps|(?<=gyro_)rad",
+    "deg/s": "dps|degs|deg_?(?:per_?|p)?s(?:ec)?",
+    "rad/s": "rps|rads|rad_?(?:per_?|p)?s(?:ec)?|(?<=gyro_)rad",
     "m/s²": "m_s2|mps2|ms2",
     "mg": "mg",
     "g": "g",
 }
+# Units of rates at the end of any name; `roll_degs` is an angle.
+_RATE_SUFFIX = re.compile(r".+_(?:(dps|deg_s|degps)|rad_s|radps)")
 # Names of time stamps, alone, with a unit at the end, and of one part of a pair of seconds and parts of them.
 _TIME = re.compile(
     r"(?:.*_)?(?:time|timestamp|time_stamp|stamp)(?:_(?:fine|unix|utc|gps|sample|gyro|gyr|accel|acc|imu))*"
@@ -87,6 +92,17 @@ _TIME_SUFFIX = re.compile(
     r"(.+?)_(s|sec|secs|seconds|ms|msec|us|usec|ns|nsec|nanoseconds|min|minutes|h|hours|days)"
 )
 _TIME_PART = re.compile(r"(.*?)_?((?:n|u|m|nano|micro|milli)?sec(?:ond)?s?)")
+# Names that say that three columns are of no gyro or accelerometer; and units that do not say so.
+_SOMETHING_ELSE = re.compile(
+    r"(?:.*_)?(?:mag|compass|quat|euler|angles?(?:_|$)|att|ori|heading|tilt|incl|rot(?:ation)?_?vec|temp"
+    r"|grav|user|lin(?:ear)?_|free_?acc|pos|vel|speed|gps|gnss|ecef|utm|lat|lon|volt|curr|press|baro|light"
+    r"|prox|motor|servo|rc(?:_|$)|setpoint|pid|axis_?[pidfs](?:_|$)|debug|unused|reserved).*"
+    r"|(?:roll|pitch|yaw)(?:_?(?:deg|rad|degs|rads|degrees))?|(?:imu_?\d*_)?[bhmpqv]_?[xyz\d]"
+    r"|.*(?:磁|角度|姿态|四元数|温度).*"
+)
+_OF_COUNTS = re.compile(r"(?i)lsb|counts?|raw|adc|digits?|ticks|-|1|")
+# What alone may differ between names of three axes.
+_ENDS = (("x", "y", "z"), ("0", "1", "2"), ("roll", "pitch", "yaw"))
 # Names of sample counters, which are times if the rate is known; and clocks of a known unit.
 _COUNTER = re.compile(r"(?:.*_)?(?:packet|sample|frame|message|msg)_?(?:counter|count|number|num|index|nr)")
 _CLOCKS = {"sample_time_fine": "0.1 ms", "millis": "ms", "micros": "us", "nanos": "ns"}
@@ -100,6 +116,14 @@ _MAYBE_TIME = re.compile(
 # Names of the cluster times of Allan curves, which are no recordings.
 _CLUSTER_TIME = re.compile(r"taus?|(?:cluster|averaging|correlation)_time")
 
+# Names of three columns that are a sensor's axes only together, and sensors that must be beside them.
+_TOGETHER: tuple[tuple[Sensor, tuple[Sensor, ...], tuple[str, str, str]], ...] = (
+    ("gyro", (), ("p", "q", "r")),
+    ("gyro", (), ("roll_?rate", "pitch_?rate", "yaw_?rate")),
+    ("gyro", (), ("d_?roll", "d_?pitch", "d_?yaw")),
+    ("gyro", ("accel",), ("rate_?x", "rate_?y", "rate_?z")),
+    ("accel", ("gyro",), ("f_?x", "f_?y", "f_?z")),
+)
 
 # Units in examples of a header.
 _USUAL: dict[Sensor, str] = {"gyro": "deg/s", "accel": "m/s^2"}
@@ -138,7 +162,7 @@ def recognise(label: str) -> Column:
     """Recognise a column by its label, e.g. `gyro_x [deg/s]`, `field.linear_acceleration.z`, `%time`."""
     label = harmless(label)
     stem, unit = split_unit(label)
-    words = _PROCESSED.sub("", _words(_ELEMENT.sub(lambda end: _ELEMENTS[end[0]], stem)))
+    words = _PROCESSED.sub("", _words_of(stem))
     for suffix_unit, suffixes in _UNIT_SUFFIXES.items() if unit is None else ():
         match = re.fullmatch(rf"(.+)_(?:{suffixes})(_[xyz]|)", words)
         axis = match and _axis(label, match[1] + match[2], suffix_unit)
@@ -146,8 +170,8 @@ def recognise(label: str) -> Column:
             return axis
     known = _axis(label, words, unit) or _time(label, stem, words, unit)
     if known is None and unit is None:
-        match = re.fullmatch(rf"(.+)_(?:{_UNIT_SUFFIXES['deg/s']}|({_UNIT_SUFFIXES['rad/s']}))", words)
-        unit = ("rad/s" if match[2] else "deg/s") if match else None
+        match = _RATE_SUFFIX.fullmatch(words)
+        unit = ("deg/s" if match[1] else "rad/s") if match else None
     return known or Column(label, "auxiliary", stem, unit=unit)
 
 
@@ -160,6 +184,23 @@ def by_unit(column: Column) -> Column:
             if parse_sample_unit(column.unit, sensor).quantity == "rate":
                 return replace(column, role="axis", sensor=sensor)
     return column
+
+
+def together(columns: Sequence[Column]) -> list[Column]:
+    """Return columns, of which three are a sensor's axes if they are so together and it has no other ones."""
+    found = list(columns)
+    for sensor, others, words in _TOGETHER:
+        axes = {column.name for column in found if column.role == "axis"}
+        beside = {f"{other}_{axis}" for other in others for axis in "xyz"}
+        if not beside <= axes or any(name.startswith(sensor) for name in axes):
+            continue
+        free = [column for column in found if column.role == "auxiliary"]
+        three = [next((c for c in free if re.fullmatch(word, _words(c.name))), None) for word in words]
+        for axis, column in zip("xyz", three if None not in three else (), strict=False):
+            if column is not None:
+                own = replace(column, role="axis", sensor=sensor, name=f"{sensor}_{axis}")
+                found[found.index(column)] = own if column.unit is None else by_unit(column)
+    return found
 
 
 def in_directions(columns: Sequence[Column]) -> list[Column]:
@@ -181,6 +222,42 @@ def triads(columns: Sequence[Column]) -> list[Sequence[Column]]:
     threes = [columns[k : k + 3] for k in range(len(columns) - 2)]
     told = [[[_direction(c.name, words) for c in three] for words in _DIRECTIONS] for three in threes]
     return [three for three, axes in zip(threes, told, strict=True) if [*"xyz"] in axes]
+
+
+def unclaimed(columns: Sequence[Column], sensor: Sensor) -> Sequence[Column]:
+    """Return auxiliary columns that may be axes of a sensor: those that its name begins, or else three.
+
+    Names of three differ in the axis alone, and neither they nor units say that they are something else.
+    """
+    named = [column for column in columns if begins_with(column, sensor)]
+    unknown = [column for column in columns if _may_be_axis(column)]
+    words = [_words_of(column.name) for column in unknown]
+    threes = [unknown[k : k + 3] for k in range(len(unknown)) if _are_axes(words[k : k + 4])]
+    return named[: len("xyz")] or next(iter(threes), [])
+
+
+def begins_with(column: Column, sensor: Sensor) -> bool:
+    """Return whether an auxiliary column of samples has a name that begins with that of a gyro."""
+    words = _words(column.name)
+    is_named = sensor == "gyro" and re.match(_ALIASES[sensor], words) is not None
+    return column.role == "auxiliary" and is_named and not _NOT_A_SAMPLE.search(words)
+
+
+def _may_be_axis(column: Column) -> bool:
+    """Whether neither the name nor the unit of a column says that it is no axis."""
+    words = _words_of(column.name)
+    says = _SOMETHING_ELSE.fullmatch(words) or _NOT_A_SAMPLE.search(words)
+    return not says and _OF_COUNTS.fullmatch(column.unit or "") is not None
+
+
+def _are_axes(names: Sequence[str]) -> bool:
+    """Whether the first three of four names differ in the axis alone; four numbers are another array."""
+    for ends in _ENDS:
+        for place in re.finditer(ends[0], names[0]):
+            before, after = names[0][: place.start()], names[0][place.end() :]
+            if [*names[:3]] == [f"{before}{end}{after}" for end in ends]:
+                return f"{before}3{after}" not in names
+    return False
 
 
 def _direction(name: str, words: Sequence[str]) -> str:
@@ -224,9 +301,19 @@ def elements_of(label: str, count: int) -> list[str]:
 
 
 def _words(stem: str) -> str:
-    """Return a name as lower-case words joined by underscores, e.g. for `GyroX`, `gyro.x` or `gyro[0]`."""
+    """Return a name as lower-case words joined by underscores, e.g. for `GyroX`, `gyro.x` or `gyro[0]`.
+
+    They are without accents; Chinese characters stay.
+    """
     stem = re.sub(r"(?<=[a-z])(?=[A-Z])", "_", stem)
-    return re.sub(r"[^a-z0-9]+", "_", stem.lower()).strip("_")
+    if not stem.isascii():
+        stem = re.sub(r"(?<=[a-z])[\u0300-\u036f]", "", unicodedata.normalize("NFD", stem.lower()))
+    return re.sub(r"[^a-z0-9\u4e00-\u9fff]+", "_", stem.lower()).strip("_")
+
+
+def _words_of(stem: str) -> str:
+    """Return the words of a name whose element of an array is an axis: `gyro[0]` is `gyro_x`."""
+    return _words(_ELEMENT.sub(lambda end: _ELEMENTS[end[0]], stem))
 
 
 def _axis(label: str, words: str, unit: str | None) -> Column | None:

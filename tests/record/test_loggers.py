@@ -229,6 +229,120 @@ def test_axes_of_any_names_are_x_y_and_z(read, how):
     assert noted(recording, f"gyro_x from '{NAMED[how][0]}", f"accel_z from '{NAMED[how][5]}")
 
 
+SIX_AXES = np.hstack([GYRO, ACCEL])
+# Names without units of three rates, and of three accelerations beside them if these are needed.
+UNITLESS = {
+    "Linux": (["in_anglvel_x_raw", "in_anglvel_y_raw", "in_anglvel_z_raw"], "in_accel_{}_raw"),
+    "short Linux": (["anglvel_x", "anglvel_y", "anglvel_z"], "accel_{}"),
+    "body rates": (["p", "q", "r"], "a{}"),
+    "body rates alone": (["p", "q", "r"], ""),
+    "of angles": (["roll_rate", "pitch_rate", "yaw_rate"], "f{}"),
+    "in one word": (["rollRate", "pitchRate", "yawRate"], ""),
+    "derivatives": (["droll", "dpitch", "dyaw"], "acc_{}"),
+    "rates": (["rate_x", "rate_y", "rate_z"], "acc_{}"),
+    "Spanish": ([f"velocidad angular {axis}" for axis in "xyz"], "aceleración_{}"),
+    "French": ([f"vitesse_angulaire_{axis}" for axis in "xyz"], "accélération_{}"),
+    "Italian": ([f"Velocità angolare {axis}" for axis in "XYZ"], "Accelerazione {}"),
+    "German": ([f"Winkelgeschwindigkeit {axis}" for axis in "XYZ"], "Beschleunigung {}"),
+    "Chinese": ([f"角速度{axis}" for axis in "XYZ"], "加速度{}"),
+}
+
+
+@pytest.mark.parametrize("how", UNITLESS)
+def test_names_that_tell_the_sensor_without_a_unit(tmp_path, read, how):
+    """A rate by its name is never an auxiliary channel: its unit is asked for."""
+    names, other = UNITLESS[how]
+    header = ["time [s]", *names, *(other.format(axis) for axis in "xyz" if other)]
+    lines = [",".join(header), *(",".join(map(str, row[: len(header)])) for row in timed(SIX_AXES))]
+    (tmp_path / "log.csv").write_text("\n".join(lines), encoding="utf-8")
+    units = {"gyro_unit": "deg/s", **({"accel_unit": "g"} if other else {})}
+    refused(tmp_path / "log.csv", f"{names[0]}|gyro_unit=", aj.UnitError)
+    is_right(read(lines, **units), ACCEL if other else None)
+    is_right(read(lines, columns="gyro", gyro_unit="deg/s"))
+
+
+def timed(values):
+    return [(k / RATE, *row) for k, row in enumerate(values.tolist())]
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        *(f"gyro_{{}}_{unit}" for unit in ("degs", "degps", "degpersec", "deg_per_s", "dps")),
+        *("gyr{}_degs", "GyroX_DegPerSec".replace("X", "{}"), "ω{}_degps"),
+        *(f"gyro_{{}}_{unit}" for unit in ("rads", "radps", "radpersec", "rad_per_sec", "rps", "rad_s")),
+    ],
+)
+def test_units_at_the_end_of_names(read, name):
+    """A gyro whose unit is not told apart from its name would be no axis beside accelerometers."""
+    in_rad = "rad" in name or "rps" in name
+    values = np.hstack([GYRO * DEG if in_rad else GYRO, ACCEL])
+    header = ["t_s", *(name.format(axis) for axis in "xyz"), *(f"acc_{axis}_g" for axis in "xyz")]
+    is_right(read([",".join(header), *(",".join(map(str, row)) for row in timed(values))]), ACCEL)
+
+
+def test_angles_with_units_at_the_end_of_names_are_no_rates(read):
+    header = [*("t_s", "gyro_x_dps", "gyro_y_dps", "gyro_z_dps"), *("roll_rads", "pitch_rads", "yaw_rads")]
+    lines = [",".join(header), *(",".join(map(str, row)) for row in timed(SIX_AXES))]
+    assert [*is_right(read(lines)).auxiliary] == header[4:]
+
+
+ACCEL_G, GYRO_DEG = [f"a{axis} [g]" for axis in "xyz"], [f"g{axis} [deg/s]" for axis in "xyz"]
+# Names of three columns beside accelerometers or a gyro that do not tell what these are, and some that do.
+UNTOLD = [
+    *(["foo_x", "foo_y", "foo_z"], ["foo[0]", "foo[1]", "foo[2]"], ["u0 [LSB]", "u1 [LSB]", "u2 [LSB]"]),
+    *(["gyro_roll", "gyro_pitch", "gyro_yaw"], ["x", "y", "z"], ["xrot", "yrot", "zrot"]),
+]
+TOLD = [
+    *(["mx", "my", "mz"], ["mag_x", "mag_y", "mag_z"], ["u_x [uT]", "u_y [uT]", "u_z [uT]"]),
+    *(["roll", "pitch", "yaw"], ["q_x", "q_y", "q_z"], ["euler_x", "euler_y", "euler_z"]),
+    *(["gravity_x", "gravity_y", "gravity_z"], ["temp0", "temp1", "temp2"], ["one", "two", "three"]),
+    *(["pos.x", "pos.y", "pos.z"], ["vel_x", "vel_y", "vel_z"], ["gyro_temp", "gyro_status", "gyro_id"]),
+]
+
+
+@pytest.mark.parametrize("names", UNTOLD)
+@pytest.mark.parametrize("recognised", [ACCEL_G, GYRO_DEG])
+def test_three_columns_beside_one_sensor_are_never_left_out_in_silence(tmp_path, names, recognised):
+    """The message names both ways: they are the other sensor, or the one that is recognised is read alone."""
+    is_accel = recognised is ACCEL_G
+    if not is_accel and names[0].startswith("gyro"):
+        names = [name.replace("gyro", "foo") for name in names]
+    header = ["time [s]", *recognised, *names, "temp"]
+    values = np.hstack([ACCEL, GYRO, GYRO[:, :1]] if is_accel else [GYRO, ACCEL, GYRO[:, :1]])
+    path = tmp_path / "log.csv"
+    path.write_text("\n".join([",".join(header), *(",".join(map(str, row)) for row in timed(values))]))
+    other = SIX[:3] if is_accel else SIX[3:]
+    both = ",".join([*header[:4], *other, "-"])
+    alone = "accel" if is_accel else "gyro"
+    told = f"{names[0]}|columns='{both}'|(--columns '{both}')|columns='{alone}'|(--columns {alone})"
+    refused(path, told)
+    recording = aj.read(path, columns=both, gyro_unit="deg/s", accel_unit="g")
+    np.testing.assert_allclose(recording["gyro"].values, GYRO * DEG, rtol=1e-12)
+    np.testing.assert_allclose(recording["accel"].values, ACCEL * G0, rtol=1e-12)
+    assert aj.read(path, columns=alone).names == (SIX[3:] if is_accel else SIX[:3])
+    # What never changes has no samples of a sensor.
+    path.write_text(
+        "\n".join([",".join(header), *(",".join(map(str, [*row[:4], 0, 0, 0, 1])) for row in timed(values))])
+    )
+    assert [*aj.read(path).auxiliary] == [*(name.partition(" ")[0] for name in names), "temp"]
+
+
+@pytest.mark.parametrize("names", TOLD)
+def test_what_names_or_units_say_is_read_beside_one_sensor(read, names):
+    header = ["time [s]", *ACCEL_G, *names]
+    rows = [",".join(map(str, row)) for row in timed(np.hstack([ACCEL, GYRO]))]
+    recording = read([",".join(header), *rows])
+    assert recording.names == SIX[3:]
+    assert [*recording.auxiliary] == [name.partition(" ")[0] for name in names]
+
+
+def test_a_name_that_begins_with_gyro_beside_a_gyro_is_noted(read):
+    header = ["time [s]", *GYRO_DEG, "gyro_total"]
+    lines = [",".join(header), *(",".join(map(str, row[:5])) for row in timed(SIX_AXES))]
+    assert noted(is_right(read(lines)), "'gyro_total' read beside the axes")
+
+
 def test_two_units_in_a_table_keep_their_names(read):
     names = [f"imu{unit}_g{axis}_dps" for unit in (0, 1) for axis in "xyz"]
     lines = [",".join(["t_s", *names])]
@@ -372,3 +486,66 @@ def test_messages_with_the_same_axes_are_not_left_out(tmp_path):
             refused(path, words, gyro_unit="deg/s", rate=RATE)
         else:
             assert noted(is_right(aj.read(path, gyro_unit="deg/s", rate=RATE)), "400 lines of other messages")
+
+
+MPU = np.random.default_rng(5).normal([150, -90, 16_400, 37, -39, 20], 30.0, (N, 6)).round().astype(int)
+
+
+@pytest.mark.parametrize("names", ["a/g", "a/g/m"])
+@pytest.mark.parametrize("stamp", [lambda k: "", lambda k: f"{clock(k)} -> "])
+def test_counts_of_the_examples_for_mpu6050(tmp_path, read, names, stamp):
+    """Accelerometers, gyros and a magnetometer without units, of which g is none."""
+    other = "\t7\t8\t9" if names.endswith("m") else ""
+    tail = ["\t".join(map(str, row)) for row in MPU.tolist()]
+    lines = ["Initializing I2C devices...", "MPU6050 connection successful"]
+    lines += [f"{stamp(k)}{names}:\t{row}{other}" for k, row in enumerate(tail)]
+    (tmp_path / "mpu.log").write_text("\n".join(lines))
+    refused(tmp_path / "mpu.log", "accel_unit='g/16384'|gyro_unit=|'deg/s/131'", aj.UnitError)
+    rate = {} if stamp(0) else {"rate": RATE}
+    recording = read(lines, "mpu.log", accel_unit="g/16384", gyro_unit="deg/s/131", **rate)
+    assert (recording.names, recording.rate) == (SIX[3:] + SIX[:3], pytest.approx(RATE))
+    np.testing.assert_allclose(recording["accel"].values, MPU[:, :3] * G0 / 16384, rtol=1e-12)
+    np.testing.assert_allclose(recording["gyro"].values, MPU[:, 3:] * DEG / 131, rtol=1e-12)
+
+
+CHINESE = ["时间", *(f"角速度{x}(°/s)" for x in "XYZ"), *(f"加速度{x}(g)" for x in "XYZ"), "温度(℃)"]
+
+
+def test_chinese_names_in_their_encoding(tmp_path):
+    """With a line before them; the same text in UTF-8 is read alike, without a note."""
+    path = tmp_path / "维特.txt"
+    rows = ["\t".join(map(str, [f"2024-03-05 {clock(k)}", *x, 25.0])) for k, x in enumerate(SIX_AXES)]
+    text = "\n".join(["开始时间： 2024-03-05 12:00:00", "\t".join(CHINESE), *rows, ""])
+    for encoding in ("gb18030", "utf-8"):
+        path.write_bytes(text.encode(encoding))
+        recording = is_right(aj.read(path), ACCEL)
+        assert noted(recording, "GB18030") == (encoding == "gb18030")
+        assert [*recording.auxiliary] == ["温度"]
+
+
+@pytest.mark.parametrize(
+    ("encoding", "first", "unit"),
+    [("latin-1", "Température", "°/s"), ("latin-1", "Größe µT", "°/s"), ("cp1251", "Гироскоп", "deg/s")],
+)
+def test_other_encodings_are_not_chinese(tmp_path, encoding, first, unit):
+    path = tmp_path / "log.csv"
+    header = [first, "time [s]", *(f"Gyro {axis} [{unit}]" for axis in "XYZ")]
+    rows = [",".join(map(str, [k % 7, *x])) for k, x in enumerate(timed(GYRO))]
+    path.write_bytes("\n".join([",".join(header), *rows]).encode(encoding))
+    recording = is_right(aj.read(path))
+    assert not noted(recording, "GB18030")
+    assert [*recording.auxiliary] == [first.encode(encoding).decode("latin-1")]
+
+
+@pytest.mark.parametrize("mark", ["%", "#"])
+@pytest.mark.parametrize("letter", ["", "gyro_"])
+def test_names_and_units_in_comments_above_the_data(read, mark, letter):
+    """In two lines of a head of several, as a program for fibre-optic gyros writes them."""
+    names = [letter + x for x in ("pqr" if not letter else "xyz")]
+    lines = ["FOG IMU static test, serial 0042", f"week TOW {' '.join(names)} fx fy fz temp"]
+    lines += [f"[-]  [s]  {'[deg/h] ' * 3} {'[ug] ' * 3} [-]", "end of the head"]
+    rows = np.hstack([GYRO * 3600.0, ACCEL * 1e6]).tolist()
+    data = [f"2304 {302_400 + k / RATE:.2f} {' '.join(map(str, row))} 25" for k, row in enumerate(rows)]
+    recording = read([*(f"{mark} {line}" for line in lines), *data], "log.dat")
+    assert [axis.unit for axis in recording.axes] == [*["deg/h"] * 3, *["µg"] * 3]
+    is_right(recording, ACCEL)

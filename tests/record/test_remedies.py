@@ -80,7 +80,7 @@ OF_TEXT = {
     # Units.
     "no accel unit": (text(SIX), DEG_S, "accel_x|accel_unit=|--accel-unit", aj.UnitError),
     # Columns.
-    "no axis": (text(["p", "q", "r"]), RATE, "p, q, r|--columns"),
+    "no axis": (text(["u", "v", "w"]), RATE, "u, v, w|--columns"),
     "unknown column": (text(), {**RATE, "columns": "gyro_x,gyro_q"}, "--columns|gyro_q|gyro_z [deg/s]"),
     "column twice": (text(), {**RATE, "columns": "gyro_x,gyro_x,-"}, "columns=|gyro_x"),
     "too few entries": (text(SIX), {**RATE, "columns": "a,-"}, "columns|a"),
@@ -231,6 +231,13 @@ REMEDIES = {
     ),
     "in turn": (text(BOTH, cells=IN_TURN, times=TIMES), {}, {50.0}),
     "kinds": (in_turn, {}, {100.0}),
+    "another sensor?": (text(["ax [g]", "ay [g]", "az [g]", "u0", "u1", "u2"], times=TIMES), {}, {100.0}),
+    "axes by units": (
+        text(["Rx [deg/s]", "Ry [deg/s]", "Rz [deg/s]", "u_x", "u_y", "u_z"], times=TIMES, label="zeit [s]"),
+        {},
+        {100.0},
+    ),
+    "gyro by its first letters": (text([*HEADER[3:], "gyro_total"], times=TIMES), {}, {100.0}),
     "two sensors": (of_two, {}, {100.0}),
     "another sensor": (of_two, {"instance": 4}, {100.0}),
     "no such time": (text(times=TIMES), {"time": "clock"}, {100.0}),

@@ -72,6 +72,8 @@ _COEFFICIENTS = {
     r"noise_density\W*[:=]": "kalibr",
     r"\b(?:gyr|acc)_n\b\W*[:=]": "vins-mono",
 }
+# A comment that has the units of columns, such as `% [s] [deg/h] [g]`.
+_UNITS_IN_BRACKETS = re.compile(r"\s*[%#/]+\s*(?:\[[^\[\]]*\][\s,;|]*)+")
 # A line that ends a table.
 _SECTION = re.compile(r"\s*(?:[\[<]/?[A-Za-z][\w .-]*[\]>]|\w*END\w*)\s*")
 # A header has at most so many lines; and this share of the first lines must be rows if each line is one.
@@ -404,11 +406,16 @@ def _with_names(found: Grammar, before: Sequence[_Line]) -> Grammar:
         notes = found.notes + _skipped([line.text for line in plain if line.number < number])
         # Without units, all lines after the header are data.
         return replace(found, start=found.start if units else number + 1, labels=labels, notes=notes)
-    for line in reversed(before):
+    units = [""] * found.fields
+    for line in reversed([line for line in before if is_comment(line.text)]):
+        in_brackets = _UNITS_IN_BRACKETS.fullmatch(line.text) and re.findall(r"\[(.*?)\]", line.text)
+        if in_brackets and len(in_brackets) == found.fields:
+            units = [unit if is_unit_name(unit) else "" for unit in in_brackets]
+            continue
         names = _names(line.text, found)
-        has_names = len(names) == found.fields and any(recognise(x).role != "auxiliary" for x in names)
-        if is_comment(line.text) and has_names:
-            return replace(found, labels=tuple(names))
+        labels = tuple(map(with_unit, names, units)) if len(names) == found.fields else ()
+        if any(recognise(x).role != "auxiliary" or is_axis(x) for x in labels):
+            return replace(found, labels=labels)
     return replace(found, notes=found.notes + _skipped([line.text for line in plain]))
 
 

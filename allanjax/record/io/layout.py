@@ -14,6 +14,7 @@ from allanjax.record.columns import (
     Axis,
     Column,
     axes_of,
+    begins_with,
     by_unit,
     default_names,
     distinct,
@@ -21,7 +22,10 @@ from allanjax.record.columns import (
     may_be_time,
     recognise,
     split_unit,
+    together,
     triads,
+    unclaimed,
+    with_unit,
 )
 from allanjax.record.io.absent import unwrapped
 from allanjax.record.io.options import ReadOptions
@@ -33,6 +37,8 @@ from allanjax.record.validation import check_names
 
 # Entries in a list of columns that skip a column.
 _SKIP = ("-", "_", "")
+# Names of axes in a list of columns.
+_NAMES: dict[Sensor, list[str]] = {sensor: [f"{sensor}_{axis}" for axis in "xyz"] for sensor in SENSORS}
 # Least share of rows in which times do not decrease.
 _RISING = 0.9
 
@@ -81,13 +87,15 @@ class Layout:
         _check_is_recording(table, found, columns, clock)
         columns = distinct(columns, table.source)
         _check_all_used(table, columns, clock, first, options)
+        if table.labels is not None and options.columns is None and not table.complete:
+            _check_none_missed(table, found, columns, clock, first)
         samples = partial(_samples, columns, first)
         labelled = [sensor for sensor in SENSORS if all(c.unit for c in columns if c.sensor == sensor)]
         units = table.units_with(options, labelled)
         axes, axis_notes = axes_of(columns, units, table.source, samples)
         used = in_clock | {column.index for column in columns}
         auxiliary = tuple(c for c in found if c.index not in used and _is_channel(c, first[c.index]))
-        every = (*notes, *clock_notes, *_notes_on(columns), *axis_notes)
+        every = (*notes, *clock_notes, *_notes_on(columns), *_notes_on_others(auxiliary), *axis_notes)
         return cls(columns, axes, clock, auxiliary, _given(columns, options), every)
 
     def stamps(self, columns: Columns) -> tuple[Cells, ...]:
@@ -133,20 +141,7 @@ def _found(table: Table, first: Columns, options: ReadOptions) -> tuple[list[Col
         found = _recognised(names)
         notes.append(f"the columns have no names; they are assumed to be {', '.join(names)}")
     found = [_as_time(column, first[column.index], table) for column in found]
-    return _of_one_sensor(_with_specific_force(found), options, notes), notes
-
-
-def _with_specific_force(found: list[Column]) -> list[Column]:
-    """Return columns f_x, f_y and f_z beside the three axes of a gyro as those of an accelerometer."""
-    force = {c.name.casefold().replace("_", ""): c for c in found if c.role == "auxiliary"}
-    axes = [column.name for column in found if column.role == "axis"]
-    if not {"fx", "fy", "fz"} <= {*force} or sorted(axes) != ["gyro_x", "gyro_y", "gyro_z"]:
-        return found
-    for axis in "xyz":
-        column = force[f"f{axis}"]
-        named = replace(column, role="axis", sensor="accel", name=f"accel_{axis}")
-        found[found.index(column)] = named if column.unit is None else by_unit(column)
-    return found
+    return _of_one_sensor(together(found), options, notes), notes
 
 
 def _of_one_sensor(found: list[Column], options: ReadOptions, notes: list[str]) -> list[Column]:
@@ -234,7 +229,7 @@ def _picked(labels: Sequence[str], names: Sequence[str], matches: Sequence[Seque
     units: dict[int, str | None] = {}
     for name, match in zip(names, matches, strict=True):
         units |= dict.fromkeys(match, split_unit(name)[1])
-    columns = _recognised(labels)
+    columns = together(_recognised(labels))
     kept = [c for c in columns if c.index in units or c.role in ("time", "counter")]
     return [replace(c, unit=units.get(c.index) or c.unit) for c in kept]
 
@@ -246,7 +241,7 @@ def _match(table: Table, name: str, by_position: bool) -> tuple[int, ...]:
     none.
     """
     labels = table.labels or ()
-    columns = [recognise(label) for label in labels]
+    columns = together(_recognised(labels))
     stem = split_unit(name)[0]
     keys: list[tuple[str, Iterable[str]]] = [
         (name, (label.strip() for label in labels)),
@@ -373,6 +368,44 @@ def _check_all_used(
         raise table.source.error(f"time_unit= is given, but no time stamps are read; omit it{named}")
 
 
+def _check_none_missed(
+    table: Table, found: Sequence[Column], axes: Sequence[Column], clock: Sequence[Column], first: Columns
+) -> None:
+    """Raise RecordingError if only one sensor has been recognised, and other columns may be another one."""
+    missing = [sensor for sensor in SENSORS if sensor not in {column.sensor for column in axes}]
+    used = {column.index for column in (*axes, *clock)}
+    others = [c for c in found if c.index not in used and c.role == "auxiliary" and _varies(first[c.index])]
+    may_be = unclaimed(others, missing[0]) if len(missing) == 1 else ()
+    if not may_be:
+        return
+    own = {column.index: _entry(column) for column in (*axes, *clock)}
+    both = own | {c.index: name for c, name in zip(may_be, _NAMES[missing[0]], strict=False)}
+    is_known = all(recognise(column.label).role != "auxiliary" for column in (*axes, *clock))
+    others_only = axes[0].sensor if is_known else _in_order(own, len(first))
+    what = "a gyro" if missing[0] == "gyro" else "an accelerometer"
+    raise table.source.error(
+        f"columns {', '.join(repr(column.label) for column in may_be)} may be {what}, but no name says so; "
+        f"if they are, name all in their order, - skips one: columns='{_in_order(both, len(first))}', or "
+        f"read only {', '.join(column.label for column in axes)} with columns='{others_only}'"
+    )
+
+
+def _varies(values: Cells) -> bool:
+    """Return whether a column has numbers that are not all the same."""
+    numbers = values[values == values] if values.dtype.kind in "fiu" else values[:0]
+    return bool(numbers.size) and bool(numbers.min() < numbers.max())
+
+
+def _entry(column: Column) -> str:
+    """Return what stands for a column in a list of columns: its label, which says all about it."""
+    return with_unit(column.name, column.unit) if "," in column.label else column.label
+
+
+def _in_order(entries: Mapping[int, str], count: int) -> str:
+    """Return a list of so many columns, - where there is no entry."""
+    return ",".join(entries.get(k, "-") for k in range(count))
+
+
 def _given(axes: Sequence[Column], options: ReadOptions) -> dict[Sensor, float]:
     """Return the sensors whose unit was given, and the factor from their labels' unit to it."""
     found: dict[Sensor, float] = {}
@@ -383,6 +416,12 @@ def _given(axes: Sequence[Column], options: ReadOptions) -> dict[Sensor, float]:
             with suppress(UnitError):
                 found[sensor] = unit_scale(unit, sensor) / unit_scale(labelled or unit, sensor)
     return found
+
+
+def _notes_on_others(auxiliary: Sequence[Column]) -> list[str]:
+    """Return a note on columns that are no axes although their names begin with that of a gyro."""
+    others = ", ".join(repr(column.label) for column in auxiliary if begins_with(column, "gyro"))
+    return [f"{others} read beside the axes, as the names are not those of axes"] if others else []
 
 
 def _notes_on(axes: Sequence[Column]) -> list[str]:

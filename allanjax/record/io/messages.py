@@ -44,6 +44,8 @@ _SUM, _MARKS = re.compile(r"\*([\da-fA-F]{2}|[\da-fA-F]{8})\s*$"), tuple("$#%!@/
 _AFTER_NAME, _AFTER_VALUE = ":=({[", r"[,;|)}\]>\n]"
 # The name that a time without one is given, and the names of the axes in a group of three.
 _TIMES, _XYZ = ("time",), ("x", "y", "z")
+# Letters before the axes of several sensors, as in `a/g:` of the examples of i2cdevlib.
+_LETTERS = {"a": "accel", "g": "gyro", "m": "mag"}
 # How many of the most frequent shapes are tried, and how many messages a shape needs.
 _SHAPES, _FEWEST = 10, 3
 # Share of the messages that a shape needs where one has several lines; and numbers without an axis.
@@ -300,13 +302,18 @@ def _known(words: Sequence[str], element: str) -> str | None:
 
 
 def _names_of(values: Sequence[_Value]) -> Iterator[str | None]:
-    """Yield the name of each number; three numbers after the name of a sensor are its axes."""
+    """Yield the name of each number; three numbers after a sensor are its axes, six those of two."""
     k = 0
     while k < len(values):
         words = values[k].words
         size = 1
         while k + size < len(values) and values[k + size].follows and values[k + size].words == words:
             size += 1
+        sensors = [_LETTERS[word] for word in words if word in _LETTERS]
+        if len(words) == len(sensors) > 1 and size == len(_XYZ) * len(words):
+            yield from (f"{sensor}_{axis}" for sensor in sensors for axis in _XYZ)
+            k += size
+            continue
         for place in range(size):
             element = f"[{place}]" if size > 1 else ""
             known = _known(words, element) if size in (1, len(_XYZ)) else None

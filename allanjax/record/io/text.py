@@ -34,6 +34,9 @@ _ZEROS = re.compile(rb"\0{16,}|\0+$")
 _NOT_AVAILABLE = re.compile(rb"#(?:N/A|DIV/0!|NUM!|VALUE!|REF!)")
 # Codes by which terminals change the colour.
 _COLOURS = re.compile(rb"\x1b\[[\d;]*[A-Za-z]")
+# Bytes that are no ASCII, and Chinese characters among the most frequent in GB18030, of two bytes.
+_NOT_ASCII = re.compile(rb"[\x80-\xff]+")
+_CHINESE = re.compile(rb"[\xb0-\xd7][\xa1-\xfe]")
 # Exponent of a number as Fortran writes it.
 _FORTRAN = re.compile(rb"(\d\.?)[Dd]([+-]\d\d)")
 # What stands for no number, beside what pandas knows.
@@ -130,7 +133,10 @@ def _pieces(path: Path, source: Source, notes: list[str]) -> Iterator[bytes]:
     raw = _decompressed(path, notes)
     first = next(raw, b"")
     encoding = _encoding(first[: 1 << 16], source)
-    decoder = codecs.getincrementaldecoder(encoding)()
+    if encoding == "gb18030":
+        notes.append("text in GB18030, the encoding of Chinese characters")
+    errors = "replace" if encoding == "gb18030" else "strict"
+    decoder = codecs.getincrementaldecoder(encoding)(errors)
     has_returns = b"\n" not in first and b"\r" in first
     is_fortran = _FORTRAN.search(first[: 1 << 16]) is not None
     for piece in itertools.chain([first.removeprefix(codecs.BOM_UTF8)], raw):
@@ -188,8 +194,20 @@ def _encoding(head: bytes, source: Source) -> str:
         # The last bytes may be half a character.
         head[:-4].decode("utf-8")
     except UnicodeDecodeError:
-        return "latin-1"
+        return "gb18030" if _is_chinese(head[: head.rfind(b"\n") + 1]) else "latin-1"
     return "utf-8"
+
+
+def _is_chinese(lines: bytes) -> bool:
+    """Return whether text that is no UTF-8 has words of Chinese characters in GB18030.
+
+    They are runs of pairs of bytes, most of them frequent characters; in other encodings such as Latin-1
+    letters with accents are single, and in those of Cyrillic letters small ones are no first byte.
+    """
+    runs = _NOT_ASCII.findall(lines)
+    pairs = [run[k : k + 2] for run in runs for k in range(0, len(run), 2)]
+    has_words = any(len(run) > 2 for run in runs) and all(len(run) % 2 == 0 for run in runs)
+    return has_words and 2 * sum(map(bool, map(_CHINESE.fullmatch, pairs))) > len(pairs)
 
 
 class _Place(NamedTuple):
