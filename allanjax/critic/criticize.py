@@ -6,7 +6,7 @@ import contextlib
 import ctypes
 import dataclasses
 import traceback
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import TypeVar
@@ -16,6 +16,7 @@ from jaxtyping import Float
 
 from allanjax.base.errors import AllanjaxError, FitError
 from allanjax.base.wording import duration, finite_or_none, plain
+from allanjax.critic.change import change_of, without
 from allanjax.critic.common_mode import NAME, common_mode
 from allanjax.critic.comparison import CERTAIN, Comparison, compared, reported
 from allanjax.critic.effect import EVERYTHING, Effect, View, elsewhere, places_in
@@ -25,7 +26,6 @@ from allanjax.critic.policy import judged
 from allanjax.critic.result import AxisCritique, Critique
 from allanjax.critic.search import AcceptanceRule, Search, concluded, going_on, search
 from allanjax.critic.stage import Stage
-from allanjax.critic.step import coefficient_changes
 from allanjax.estimate.deterministic import lines_of, take_out_lines, without_lines
 from allanjax.estimate.fit import fit_inspected
 from allanjax.estimate.result import Fit
@@ -40,8 +40,6 @@ from allanjax.spectrum.cosine import fast_length
 
 _T = TypeVar("_T")
 
-# Statistics of the samples themselves, by the cause that explains each.
-_IN_SAMPLES = {"rounding": "lattice", "repeated_samples": "repeated_values"}
 _SHORTEST = int(judged("search", "shortest"))
 # Number of axes processed at a time: each takes some twenty times the memory of its samples.
 _WORKERS = 2
@@ -64,6 +62,7 @@ def criticize(
     searches, fit = _searches(recording, seen, given, effects, per_axis, tell, failed)
     recording = _left(recording, failed)
     stages = [_stages(s) for s in searches]
+    events = {effect.name for effect in effects if effect.is_event}
 
     # Axes are compared with others at the first and the last stage.
     first, last = ([of_axis[stage] for of_axis in stages] for stage in (0, -1))
@@ -78,21 +77,21 @@ def criticize(
         others = [{w.axis.name: w for w in ends if w is not ends[k]} for ends in (first, last)]
         seen = raw, s.end.recorded(s.end.samples) if s.preprocessed else raw
         tell(f"{axis.name}: comparing the measurement with simulations")
-        made = compared(stages[k], seen, (others[0], others[1]), recording.auxiliary)
+        own = stages[k]
+        made = compared((own[0], own[-1])[: len(own)], seen, (others[0], others[1]), recording.auxiliary)
         # Other channels have a cause in common, or imputed samples were drawn by a simple rule.
         ignored = ["channels"] * any(axis.name in f.axes for f in shared) + ["values"] * s.preprocessed
         reasons = [step.candidate.doubt for step in s.steps]
-        findings = tuple(reported(_findings(s, made), reasons, stages[k][0], made, ignored))
+        findings = tuple(reported(_findings(s, own, made, events), reasons, own[0], made, ignored))
         # The fit may have failed because of an effect.
         baseline = result.model if result.converged else basic_model(s.start)
         model, left_out = extended(s)
         if given is not None and not given.chosen and (further := further_terms(given[axis.name].model)):
             model = model + further
         # Copies, as other axes still need what these have computed.
-        own_stages = tuple(map(dataclasses.replace, stages[k]))
-        told = findings, made.before, made.after, s.tests, own_stages, baseline, model
-        own = None if s.start.samples is s.start.raw else s.start.raw - s.start.samples
-        return AxisCritique(axis, *told, result.misfit, left_out, own)
+        told = findings, made.before, made.after, s.tests, tuple(map(dataclasses.replace, own)), baseline
+        of_given = None if s.start.samples is s.start.raw else s.start.raw - s.start.samples
+        return AxisCritique(axis, *told, model, result.misfit, left_out, of_given)
 
     with ThreadPoolExecutor(_WORKERS) as pool:
         found = tuple(pool.map(_guarded(judged, recording.axes, failed), range(len(searches))))
@@ -255,15 +254,20 @@ def _baseline(recording: Recording, seen: Inspection, tell: Callable[[str], None
 
 
 def _stages(s: Search) -> tuple[Stage, ...]:
-    """The axis before the first finding and after each finding."""
-    stages = []
-    # The last stage is without all lines, as some harmonics, which are one finding, may have come late.
-    for view in (s.start, *(step.candidate.after for step in s.steps[:-1]), *([s.end] if s.steps else [])):
-        noise, slope = view.noise, view.slope
-        view.forget()
-        own = noise.power, noise.index, slope if np.isfinite(slope) else 0.0
-        stages.append(Stage(view.axis, view.samples, view.rate, *own, view.factor, view.imputed))
-    return tuple(stages)
+    """The axis without any finding, without each of them, and with all; only the first if there is none."""
+    first = _stage(s.start)
+    if not s.steps:
+        return (first,)
+    last = _stage(s.end)
+    return (first, *(without(step, last) for step in s.steps), last)
+
+
+def _stage(view: View) -> Stage:
+    """The axis as a view has it."""
+    noise, slope = view.noise, view.slope
+    view.forget()
+    own = noise.power, noise.index, slope if np.isfinite(slope) else 0.0
+    return Stage(view.axis, view.samples, view.rate, *own, view.factor, view.imputed)
 
 
 def _whitened(stage: Stage) -> None:
@@ -272,14 +276,11 @@ def _whitened(stage: Stage) -> None:
     stage.forget(keep_transform=True)
 
 
-def _findings(s: Search, made: Comparison) -> list[Finding]:
-    """Findings of an axis, with what is compared before and after each of them."""
-    before, after = ({d.statistic: d for d in found} for found in (made.before, made.after))
+def _findings(s: Search, stages: Sequence[Stage], made: Comparison, events: Collection[str]) -> list[Finding]:
+    """Findings of an axis, with what each alone changes; `events` are the causes that happen in a record."""
     findings = []
-    for k, (step, pairs, drift) in enumerate(zip(s.steps, made.pairs, made.drifts, strict=True)):
+    for k, step in enumerate(s.steps, 1):
         candidate, view = step.candidate, step.before
-        if statistic := _IN_SAMPLES.get(candidate.cause):
-            pairs = (*pairs, (before[statistic], after[statistic]))
         start, end = candidate.support
         span = float(start), float(end if np.isfinite(end) else view.duration)
         # An effect on the entire record has no place of its own.
@@ -294,13 +295,13 @@ def _findings(s: Search, made: Comparison) -> list[Finding]:
             rivals=step.rivals,
             span=span,
             domain=candidate.domain,
+            is_event=candidate.cause in events,
+            change=change_of(stages[-1], stages[k], candidate.has_waveform),
             details=candidate.details,
-            coefficients=coefficient_changes(step),
-            drift=drift,
-            discrepancies=pairs,
             rest=rest if rest and rest.p_value < CERTAIN else None,
-            stages=(k, k + 1),
+            stage=k,
         )
+        stages[k].forget()
         findings.append(found)
     return findings
 

@@ -490,6 +490,8 @@ class Effect(ABC):
     name: str
     #: Whether it is visible directly in the samples and must be undone before the search for others.
     is_preprocessing: ClassVar[bool] = False
+    #: Whether it happened in a record; other effects are properties of the sensor.
+    is_event: ClassVar[bool] = False
     #: When it is refitted if later findings change its conditions: "at once", if its misfit would be mistaken
     #: for other effects, or "at last".
     refit: ClassVar[Literal["", "at once", "at last"]] = ""

@@ -1,4 +1,4 @@
-"""Figures of a critique: the measurement and its simulations, before and after each finding."""
+"""Figures of a critique: the measurement and its simulations, with each finding and without it."""
 
 from __future__ import annotations
 
@@ -25,12 +25,8 @@ from allanjax.critic.result import Critique
 from allanjax.critic.stage import Stage, octave_bins
 from allanjax.presentation import draw
 from allanjax.presentation.critique_story import (
-    SIGNIFICANT,
-    changes,
-    format_remainder,
     sentence,
     significance,
-    what,
 )
 from allanjax.presentation.draw import Heading, Sheet
 from allanjax.record.recording import Axis
@@ -69,8 +65,6 @@ _POINTS = 600
 # Widths of a span that are drawn on either side of it; share of the record from which on it is not marked.
 _MARGIN = 4.0
 _EVERYWHERE = 0.95
-# Most discrepancies that are listed of those that a finding removed.
-_LISTED = 3
 # Samples that are shown one by one, and blocks whose means are shown.
 _SHOWN_SAMPLES, _BLOCKS = 150, 200
 # Correlations are drawn in bins of so many of `octave_bins`, which have so many coefficients at least.
@@ -87,7 +81,7 @@ def plot_critique(
     """Draw one figure per finding, and one for each axis without findings.
 
     Panels: Allan deviation and power spectral density, measured (points) and where 95 % of simulations lie
-    (bands), before the finding and after; the place of the effect; and its description. Allan
+    (bands), without the finding and with all findings; the place of the effect; and its description. Allan
     deviations are those of the record continued by its mirror image (the total deviation), without a ramp.
 
     A finding in several axes is drawn in that in which it matters most. The figures are not pyplot's, so that
@@ -128,7 +122,7 @@ def critique_figures(
 
 
 class _Shown(NamedTuple):
-    """A record, when it was made, and the colour and marker of its curves."""
+    """An axis at a stage, its name in words, and the colour and marker of its curves."""
 
     record: Stage
     when: str = ""
@@ -137,7 +131,7 @@ class _Shown(NamedTuple):
 
     def points(self) -> dict[str, Any]:
         """Style of the measured points."""
-        colour = self.colour if self.when == " after" else draw.ink(0.3)
+        colour = draw.ink(0.3) if self.when == " without it" else self.colour
         return draw.dots(marker=self.marker, color=colour, label=f"measured{self.when}")
 
 
@@ -154,10 +148,11 @@ def _draw(
         _draw_correlation(effect, records)
         return figure
     own = next(f for f in (finding, finding.strongest) if f in critique[axis].findings)
-    before, after = (record(axis, stage % len(critique[axis].stages)) for stage in own.stages)
-    stages = [_Shown(before)]
-    if before is not after:
-        stages = [_Shown(before, " before", _BEFORE), _Shown(after, " after", _AFTER, "s")]
+    after = record(axis, -1)
+    before, stages = after, [_Shown(after)]
+    if own.stage >= 0:
+        before = record(axis, own.stage)
+        stages = [_Shown(before, " without it", _BEFORE), _Shown(after, " with all findings", _AFTER, "s")]
     figure, effect = _panels(critique, stages, finding)
     cause = str(finding.details.get("domain", finding.cause))
     draw_effect = _draw_spectrum if finding.domain == "frequency" else _EFFECTS.get(cause, _draw_path)
@@ -366,9 +361,4 @@ def _description(finding: Finding, axis: Axis) -> list[str]:
         evidence = "" if finding.evidence is None else f"log Bayes factor {finding.evidence:,.0f} nats"
         test = significance(finding)
         lines.append(", ".join(text for text in ("" if test in lines[0] else test, evidence) if text))
-        lines += changes(finding, axis)
-        mended = [pair for pair in finding.discrepancies if pair[0].p_value < SIGNIFICANT]
-        lines += ["", "Tests that failed before this finding:"] if mended else []
-        for before, after in sorted(mended, key=lambda pair: pair[0].p_value)[:_LISTED]:
-            lines.append(f"– {what(before)}; with the finding {format_remainder(before, after)}")
     return [part for line in lines for part in wrapped(line, _COLUMNS, rest="").split("\n")]

@@ -44,6 +44,7 @@ class Outliers(Effect):
     """Errors in a share of the samples that are much larger than the noise."""
 
     name = "outliers"
+    is_event = True
     refit = "at last"
 
     def p_value(self, view: View) -> float:

@@ -224,12 +224,13 @@ def _left(view: View) -> bool:
     return chance_of_peak(view.squared_whitened) < _LEFT
 
 
-def finished(view: View, found_so_far: Sequence[Step]) -> tuple[list[Step], Model | None]:
-    """Final structure, found in some steps: filter and resonances as findings, by gain; and the model.
+def finished(view: View, found_so_far: Sequence[Step]) -> tuple[list[Step], View, Model | None]:
+    """Final structure, found in some steps: filter and resonances as findings, the view with it; the model.
 
-    There are no findings and there is no model if there are only basic terms.
+    There are no findings and there is no model if there are only basic terms. The steps lead from the view
+    without the finding, the rest held, to the one with it.
     """
-    left, first = _left(view), found_so_far[0]
+    left = _left(view)
     record, start = _problem(view)
     ramp = view.coefficients - view.residual
     # The ends are those of the record again, but the noise is that without them.
@@ -249,29 +250,27 @@ def finished(view: View, found_so_far: Sequence[Step]) -> tuple[list[Step], Mode
         # What predicts nothing is not reported.
         found = spectrum.fit(less[losses.index(min(losses))])
     else:
-        return [], None
-    without, settled = (
-        [spectrum.fit(each) for each in less],
-        _without_ends(view.with_structure(found.structure)),
-    )
-    order, steps = sorted(range(len(groups)), key=lambda k: without[k].evidence), []
-    for place, k in enumerate(order):
-        later = [component for j in order[place + 1 :] for component in groups[j]]
-        partial = spectrum.fit(_without(found.structure, later)) if later else found
-        after = first.before.with_structure(partial.structure)
-        if groups[k] == [_RESPONSE]:
+        return [], view.with_structure(None), None
+    steps = []
+    after = _without_ends(view.with_structure(found.structure)).without_caches()
+    whole = after.structure
+    assert whole is not None
+    for group, rest, loss in zip(groups, less, losses, strict=True):
+        refit = spectrum.fit(rest)
+        if group == [_RESPONSE]:
             # For a filter, the odds are the only statistic.
             own, chance = _filter(view, found), None
-            samples, imputed = after.samples + settled.samples - view.samples, after.imputed | settled.imputed
-            after = dataclasses.replace(after, samples=samples, imputed=imputed)
         else:
             # Everything else is fitted to the spectrum without it.
-            own = _resonance(view, found, groups[k])
-            chance = chance_of_peak(record.squares / at_all(spectrum, without[k]))
-        gain = found.evidence - without[k].evidence
+            own = _resonance(view, found, group)
+            chance = chance_of_peak(record.squares / at_all(spectrum, refit))
+        gain = found.evidence - refit.evidence
         candidate = dataclasses.replace(own, gain=gain, p_value=chance, after=after)
-        steps.append(Step(candidate, losses[k] - best, (), first.before))
-    return steps, model_of(found.structure, view.rate)
+        held = dataclasses.replace(after, structure=_without(whole, group))
+        steps.append(Step(candidate, loss - best, (), held))
+    steps.sort(key=lambda step: -step.candidate.gain)
+    names = [*after.found, *(step.candidate.cause for step in steps)]
+    return steps, after.with_findings(*names), model_of(found.structure, view.rate)
 
 
 #: Represents the response among the components of a group.
