@@ -29,6 +29,7 @@ from allanjax.critic.stage import Stage
 from allanjax.estimate.deterministic import lines_of, take_out_lines, without_lines
 from allanjax.estimate.fit import fit_inspected
 from allanjax.estimate.result import Fit
+from allanjax.estimate.spectral.model import shape_of
 from allanjax.inspection import Inspection, inspect
 from allanjax.inspection.facts import NOT_A_MEASUREMENT, Fact
 from allanjax.noise.model import Model
@@ -189,11 +190,16 @@ def _searches(
     """Searches in all axes except those that `failed`, and the fit from which the critique starts."""
 
     rule = AcceptanceRule(false_alarms, effects)
+    fit = _baseline(recording, seen, tell) if given is None else given
 
     def searched(k: int) -> Search:
-        """Search in one axis, starting from the given model."""
-        baseline = None if given is None or given.chosen else (given.results[k].model, given.template)
-        return search(_first_view(recording, k, baseline), rule, tell)
+        """Search in one axis, starting from its fit."""
+        found = fit.results[k]
+        baseline = None if fit.chosen else (found.model, fit.template)
+        view = _first_view(recording, k, baseline)
+        if found.converged and found.own_template is not None:
+            view = dataclasses.replace(view, fitted=shape_of(found.model, recording.rate))
+        return search(view, rule, tell)
 
     def concluding(k: int) -> Search:
         """Search in an axis, also at the places of findings in other axes."""
@@ -206,16 +212,14 @@ def _searches(
         state = going_on(states[k], there, rule, tell) if there else states[k]
         return concluded(state, effects)
 
-    # Transforms and compiled functions, which do most of the work, run in parallel. If the terms are chosen,
-    # the search needs no fit: the fit is for the report.
+    # Transforms and compiled functions, which do most of the work, run in parallel.
     with ThreadPoolExecutor(_WORKERS) as pool:
-        fitting = pool.submit(lambda: _baseline(recording, seen, tell) if given is None else given)
         found = pool.map(_guarded(searched, recording.axes, failed), range(len(recording.axes)))
         states = {k: state for k, state in enumerate(found) if state is not None}
         places = {k: places_in(state.end, (s.candidate for s in state.steps)) for k, state in states.items()}
         searches = list(pool.map(_guarded(concluding, recording.axes, failed), range(len(recording.axes))))
-    # The critique searches for filters, resonances and lines itself.
-    return [s for s in searches if s is not None], fitting.result().without_extensions()
+    # What a user would simulate is the plain model.
+    return [s for s in searches if s is not None], fit.without_extensions()
 
 
 def _check(recording: Recording, given: Fit | None, false_alarms: float) -> None:
@@ -243,10 +247,10 @@ def _check(recording: Recording, given: Fit | None, false_alarms: float) -> None
 
 
 def _baseline(recording: Recording, seen: Inspection, tell: Callable[[str], None]) -> Fit:
-    """Fit of the Allan variances, or of the spectrum if that does not converge."""
+    """Fit with filters and resonances; of the plain terms by the spectrum if that does not converge."""
     tell("fitting the noise model")
-    # Effects in the recording are the subject of the search.
-    fit = fit_inspected(recording, seen, None, "allan", plain=True, as_is=True)
+    # Events in the recording are the subject of the search.
+    fit = fit_inspected(recording, seen, None, "allan", as_is=True)
     if all(result.converged for result in fit.results):
         return fit
     # If an effect dwarfs the noise, the fit of Allan variances may fail; that of the spectrum is robust.

@@ -31,6 +31,7 @@ from allanjax.noise.terms import (
     AngleRandomWalk,
     Markov,
     NoiseTerm,
+    PowerLaw,
     Resonance,
     WanderingResonance,
     basic_terms,
@@ -763,6 +764,32 @@ def model_of(structure: Structure, rate: float) -> Model:
         return Model(tuple(term for term, _ in terms))
     inside, after = (Model(tuple(term for term, passes in terms if passes == side)) for side in (True, False))
     return (response * inside if len(inside) else inside) + after
+
+
+def shape_of(model: Model, rate: float) -> Structure:
+    """Response and resonances of a model for samples at `rate` [Hz], and what is after the response."""
+    components, turn = list[Component](), 2.0 * math.pi / rate
+    passes = model.inside or (False,) * len(model)
+    for label, term, inside in zip(model.term_labels, model.terms, passes, strict=True):
+        if isinstance(term, Resonance):
+            peak = peak_of(term)
+            place = peak.frequency * turn, 0.5 + math.exp(peak.shape[1])
+            power = float(term.amplitude or 0.0) ** 2
+            if isinstance(term, WanderingResonance):
+                components.append(wandering(*place, peak.spread * turn, power, inside))
+            else:
+                components.append(resonance(*place, power, inside))
+        elif label in FIXED:
+            components.append(_column(FIXED.index(label))._replace(inside=inside))
+        elif isinstance(term, PowerLaw) and term.exponent == 0.0:
+            components.append(_column(OUTSIDE)._replace(power=float(term.amplitude or 0.0) ** 2))
+    structure = Structure(tuple(components), kinds.kind_of(model.response))
+    if model.response is None:
+        return structure
+    values: Any = model.response
+    quality = float(getattr(values, "quality_factor", math.sqrt(0.5)))
+    response = math.log(float(values.bandwidth) * turn), math.log(quality - 0.5)
+    return dataclasses.replace(structure, response=response)
 
 
 def term_of(structure: Structure, k: int, rate: float) -> NoiseTerm:
