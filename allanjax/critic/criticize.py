@@ -197,7 +197,8 @@ def _searches(
         found = fit.results[k]
         baseline = None if fit.chosen else (found.model, fit.template)
         view = _first_view(recording, k, baseline)
-        if found.converged and found.own_template is not None:
+        # A structure that is off somewhere would be inherited.
+        if found.fits and found.own_template is not None:
             view = dataclasses.replace(view, fitted=shape_of(found.model, recording.rate))
         return search(view, rule, tell)
 
