@@ -225,7 +225,7 @@ class Critique(ByValue, PerAxis[AxisCritique]):
     def plot(
         self, path: str | os.PathLike[str] | None = None, findings: Collection[Finding] | None = None
     ) -> tuple[Figure, ...]:
-        """Draw a figure per finding, or for selected ones, and per axis without; saved in folder `path`.
+        """Draw a figure per axis, or for each of some findings; saved in folder `path`.
 
         A finding in several axes is drawn in the most affected one, `Finding.shown`; see
         `presentation.critique_figure`.
