@@ -441,9 +441,11 @@ def _failed(tests: Iterable[Discrepancy]) -> list[Discrepancy]:
 
 
 def unmeasured(critique: Critique) -> tuple[str, ...]:
-    """Warnings about axes whose baseline does not fit the data, and what to do about it."""
+    """Warnings about axes whose plain model does not fit and whose findings leave something, and a remedy."""
     warnings = []
     for axis in (axis for axis in critique.results if axis.misfit is not None and axis.misfit.excessive):
+        if not _failed(axis.after):
+            continue
         left = [d.size for d in axis.after if d.statistic == _KNOWN and d.p_value < SIGNIFICANT]
         # Whether what is left is beyond what coefficients may have, in either direction.
         far = any(not abs(np.log(max(1.0 + x, 1e-300))) < np.log(1.0 + LIMIT) for x in left)
@@ -453,7 +455,7 @@ def unmeasured(critique: Critique) -> tuple[str, ...]:
             if far
             else "use the coefficients of critique.refit() (--refit)"
         )
-        warnings.append(f"{axis.axis.name}: the noise model does not fit the data: {axis.misfit}; {then}")
+        warnings.append(f"{axis.axis.name}: the plain model does not fit the data: {axis.misfit}; {then}")
     return tuple(warnings)
 
 
