@@ -29,7 +29,7 @@ from allanjax.critic.stage import Stage
 from allanjax.estimate.deterministic import lines_of, take_out_lines, without_lines
 from allanjax.estimate.fit import fit_inspected
 from allanjax.estimate.result import Fit
-from allanjax.estimate.spectral.model import shape_of
+from allanjax.estimate.spectral.as_model import shape_of
 from allanjax.inspection import Inspection, inspect
 from allanjax.inspection.facts import NOT_A_MEASUREMENT, Fact
 from allanjax.noise.model import Model

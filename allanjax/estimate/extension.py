@@ -29,6 +29,7 @@ from allanjax.estimate.misfit import misfit_of
 from allanjax.estimate.result import AxisFit
 from allanjax.estimate.selection import AxisSelection, candidates_in_record, rank_terms
 from allanjax.estimate.spectral import search
+from allanjax.estimate.spectral.as_model import term_of
 from allanjax.estimate.spectral.components import MARKOV, NONE
 from allanjax.estimate.spectral.model import (
     FIXED,
@@ -41,7 +42,6 @@ from allanjax.estimate.spectral.model import (
     Structure,
     peak_of,
     response_of,
-    term_of,
 )
 from allanjax.estimate.spectral.search import Record
 from allanjax.noise.model import Model

@@ -23,8 +23,9 @@ from allanjax.critic.noise import MARKOV, POWER_LAW, coefficient_folds, share_of
 from allanjax.critic.policy import judged
 from allanjax.critic.step import Step
 from allanjax.estimate.spectral import model as structures
+from allanjax.estimate.spectral.as_model import model_of
 from allanjax.estimate.spectral.components import BUTTERWORTH, NONE
-from allanjax.estimate.spectral.model import FIXED, Fitted, Spectrum, Structure, model_of, response_of
+from allanjax.estimate.spectral.model import FIXED, Fitted, Spectrum, Structure, response_of
 from allanjax.estimate.spectral.search import (
     Record,
     at_all,
