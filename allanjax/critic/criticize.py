@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
-import ctypes
 import dataclasses
 import traceback
 from collections.abc import Callable, Collection, Mapping, Sequence
@@ -14,6 +12,7 @@ from typing import TypeVar
 import numpy as np
 from jaxtyping import Float
 
+from allanjax.base.cache import release_memory
 from allanjax.base.errors import AllanjaxError, FitError
 from allanjax.base.wording import duration, finite_or_none, plain
 from allanjax.critic.change import change_of, without
@@ -60,22 +59,21 @@ def criticize(
     per_axis = false_alarms / len(recording.axes)
 
     failed: dict[str, DeadAxis] = {}
-    searches, fit = _searches(recording, seen, given, effects, per_axis, tell, failed)
+    searched, fit = _searches(recording, seen, given, effects, per_axis, tell, failed)
     recording = _left(recording, failed)
-    stages = [_stages(s) for s in searches]
+    searches, stages = zip(*searched, strict=True)
     events = {effect.name for effect in effects if effect.is_event}
 
     # Axes are compared with others at the first and the last stage.
     first, last = ([of_axis[stage] for of_axis in stages] for stage in (0, -1))
-    with ThreadPoolExecutor(_WORKERS) as pool:
-        list(pool.map(_whitened, [*first, *last]))
     shared = tuple(common_mode(last, AcceptanceRule(per_axis).level(NAME)))
 
-    def judged(k: int) -> AxisCritique:
+    def told(k: int) -> AxisCritique:
+        """Critique of an axis."""
         s, axis = searches[k], searches[k].start.axis
         result = fit[axis.name]
         raw = s.start.recorded(s.start.raw)
-        others = [{w.axis.name: w for w in ends if w is not ends[k]} for ends in (first, last)]
+        others = [{w.axis.name: w for w in every if w is not every[k]} for every in (first, last)]
         seen = raw, s.end.recorded(s.end.samples) if s.preprocessed else raw
         tell(f"{axis.name}: comparing the measurement with simulations")
         own = stages[k]
@@ -90,12 +88,13 @@ def criticize(
         if given is not None and not given.chosen and (further := further_terms(given[axis.name].model)):
             model = model + further
         # Copies, as other axes still need what these have computed.
-        told = findings, made.before, made.after, s.tests, tuple(map(dataclasses.replace, own)), baseline
+        copies = tuple(map(dataclasses.replace, own))
         of_given = None if s.start.samples is s.start.raw else s.start.raw - s.start.samples
-        return AxisCritique(axis, *told, model, result.misfit, left_out, of_given)
+        ends = findings, made.before, made.after, s.tests, copies, baseline, model
+        return AxisCritique(axis, *ends, result.misfit, left_out, of_given)
 
     with ThreadPoolExecutor(_WORKERS) as pool:
-        found = tuple(pool.map(_guarded(judged, recording.axes, failed), range(len(searches))))
+        found = tuple(pool.map(_guarded(told, recording.axes, failed), range(len(searches))))
     _left(recording, failed)
     notes = [*fit.notes]
     if recording.others:
@@ -121,10 +120,7 @@ def _guarded(
     def attempt(k: int) -> _T | None:
         if axes[k].name in failed:
             return None
-        # Freed arrays of several megabytes leave gaps that later ones of other lengths do not fill: glibc,
-        # where it is the C library, returns them to the system.
-        with contextlib.suppress(OSError, AttributeError):
-            ctypes.CDLL("libc.so.6").malloc_trim(0)
+        release_memory()
         try:
             return work(k)
         except (MemoryError, OSError):
@@ -186,8 +182,8 @@ def _searches(
     false_alarms: float,
     tell: Callable[[str], None],
     failed: dict[str, DeadAxis],
-) -> tuple[list[Search], Fit]:
-    """Searches in all axes except those that `failed`, and the fit from which the critique starts."""
+) -> tuple[list[tuple[Search, tuple[Stage, ...]]], Fit]:
+    """Searches and stages of all axes except those that `failed`; the fit from which the critique starts."""
 
     rule = AcceptanceRule(false_alarms, effects)
     fit = _baseline(recording, seen, tell) if given is None else given
@@ -202,8 +198,8 @@ def _searches(
             view = dataclasses.replace(view, fitted=shape_of(found.model, recording.rate))
         return search(view, rule, tell)
 
-    def concluding(k: int) -> Search:
-        """Search in an axis, also at the places of findings in other axes."""
+    def concluding(k: int) -> tuple[Search, tuple[Stage, ...]]:
+        """Search in an axis, also at the places of findings in other axes, and its stages."""
         others = elsewhere(places[k], [place for i, own in places.items() if i != k for place in own])
         there = [
             effect.at(own)
@@ -211,7 +207,13 @@ def _searches(
             if (own := [place for place in others if place.effect == effect.name])
         ]
         state = going_on(states[k], there, rule, tell) if there else states[k]
-        return concluded(state, effects)
+        found = concluded(state, effects)
+        stages = _stages(found)
+        for stage in (stages[0], stages[-1]):
+            # Other axes are compared with it.
+            _ = stage.whitened_coefficients
+            stage.forget(keep_transform=True)
+        return found, stages
 
     # Transforms and compiled functions, which do most of the work, run in parallel.
     with ThreadPoolExecutor(_WORKERS) as pool:
@@ -273,12 +275,6 @@ def _stage(view: View) -> Stage:
     view.forget()
     own = noise.power, noise.index, slope if np.isfinite(slope) else 0.0
     return Stage(view.axis, view.samples, view.rate, *own, view.factor, view.imputed)
-
-
-def _whitened(stage: Stage) -> None:
-    """Compute the whitened coefficients, for other axes, and keep nothing else."""
-    _ = stage.whitened_coefficients
-    stage.forget(keep_transform=True)
 
 
 def _findings(s: Search, stages: Sequence[Stage], made: Comparison, events: Collection[str]) -> list[Finding]:

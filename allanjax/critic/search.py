@@ -36,7 +36,7 @@ import numpy as np
 from allanjax.base.wording import plain
 from allanjax.critic.effect import Candidate, Effect, View
 from allanjax.critic.effects.spectral_shape import SpectralShape, finished
-from allanjax.critic.finding import OUTLIERS, Detail, Rival, cause_title, order_of
+from allanjax.critic.finding import OUTLIERS, Detail, Rival, cause_title, order_of, parameter_estimate
 from allanjax.critic.policy import EQUAL, FALSE_ALARMS, OWN, PRIORS, SHARED, judged
 from allanjax.critic.step import Step, refitted
 from allanjax.noise.estimate import Estimate
@@ -298,8 +298,10 @@ def _together(first: Step, group: Sequence[Step]) -> Step:
     others = [s for s in group if s is not first]
     every, estimates, details = (first, *others), first.candidate.estimates, _lists(first, others)
     if "times" in details:
+        # Each group's error allows for missing samples.
+        error = float(np.linalg.norm([s.candidate.parameters["count"].std for s in every]))
         count, *rest = estimates
-        estimates = [first.before.estimate("count", len(details["times"]), count.std, "1"), *rest]
+        estimates = [parameter_estimate(count.axis, "count", len(details["times"]), error, "1"), *rest]
     after = first.candidate.after
     for path in (s.path for s in others if s.path is not None):
         after = after.with_samples(after.samples - path)
