@@ -1,5 +1,7 @@
 """The critic's main loop in one axis, and the rule by which candidates become findings.
 
+The filter and the resonances of the fit come first, if there are any (`View.fitted`).
+
 1. *Compare*: a view is the record as the model so far leaves it, whitened by that model.
 2. *Propose*: every effect searches it and offers the correction of the model that explains most.
 3. *Measure*: the offer with the largest evidence is accepted if it is significant and predicts data that it

@@ -24,7 +24,7 @@ def in_words(critique: Critique, fit: Fit) -> tuple[list[str], list[str]]:
     """Disturbances that were found, and properties of the sensor, such as filters, in words."""
     disturbed, also = list[str](), list[str]()
     for f in critique.findings:
-        if f.cause != UNEXPLAINED:
+        if f.cause != UNEXPLAINED and not f.is_weak:
             (disturbed if f.is_event else also).append(_told(f, critique, fit))
     return disturbed, also
 
@@ -81,7 +81,7 @@ def _evidence(critique: Critique, finding: Finding) -> Iterator[Chart]:
     views = [_compared([*stages], *kind) for kind in zip(zip(*found, strict=True), labels, strict=True)]
     if finding.domain == "frequency":
         views.reverse()
-    elif before is not after:
+    elif not before.same_record(after):
         views.insert(0, _effect(axis, before, after))
     yield Chart(f"{axis.axis.name}: record and 95 % of simulations", views)
 
