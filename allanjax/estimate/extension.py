@@ -188,7 +188,7 @@ def with_common_filters(contents: Sequence[Content | None], axes: Sequence[Axis]
         for k, (content, axis) in enumerate(zip(contents, axes, strict=True)):
             if content is not None and axis.sensor == sensor and content.structure.kind != NONE:
                 mates[k] = content
-        if len({content.structure.kind for content in mates.values()}) > 1:
+        if len(mates) > 1:
             for k, fit in _common(mates).items():
                 found[k] = mates[k]._replace(structure=fit.structure)
     return found
@@ -198,7 +198,9 @@ def _common(mates: Mapping[int, Content]) -> dict[int, Fitted]:
     """Fits of axes of one sensor with the kind of filter that is likeliest for all of them together."""
     own = {k: content.spectrum.fit(content.structure) for k, content in mates.items()}
     best, least = own, -_COMMON * (len(mates) - 1)
-    for mate in own.values():
+    # Of mates with filters of one kind any one is tried.
+    kinds = {(fit.structure.kind, fit.structure.place(OUTSIDE) is None): fit for fit in own.values()}
+    for mate in kinds.values():
         common = {k: _with_filter(content, mate.structure) for k, content in mates.items()}
         gain = sum(common[k].evidence - own[k].evidence for k in mates)
         if gain > least:
@@ -208,8 +210,11 @@ def _common(mates: Mapping[int, Content]) -> dict[int, Fitted]:
 
 def _with_filter(content: Content, like: Structure) -> Fitted:
     """Fit of a content with the kind of filter of another structure, from the corner of either of them."""
-    starts = like.corner, content.structure.corner
-    fits = [content.spectrum.fit(content.structure.with_response(like.kind, corner)) for corner in starts]
+    structure = content.structure
+    if like.place(OUTSIDE) is None:
+        structure = structure.without(structure.place(OUTSIDE))
+    starts = like.corner, structure.corner
+    fits = [content.spectrum.fit(structure.with_response(like.kind, corner)) for corner in starts]
     return max(fits, key=lambda fit: fit.evidence)
 
 

@@ -73,6 +73,8 @@ LOW_PASS, RESONANCE = "low_pass", "resonance"
 _LINES, _BESIDE = judged("line", "quality"), judged("line", "beside")
 # Share of a filter's corner frequency at which its pass band is judged.
 _PASSED = 0.5
+# Error of the logarithm of a bandwidth beyond which that is undetermined.
+_VAGUE = float(np.log(10.0))
 # Share of the record at each end that is drawn anew behind a steep filter.
 _ENDS = 0.02
 _LEFT = judged("spectral_shape", "left")
@@ -359,6 +361,8 @@ def _filter(view: View, found: Fitted) -> Candidate:
     ]
     corner = float(np.exp(log))
     doubt = _doubt_of_filter(structure, rate, corner)
+    if not std < _VAGUE:
+        doubt, estimates = "its bandwidth is undetermined", estimates[1:]
     return _described(view, LOW_PASS, estimates, (corner, rate / 2.0), doubt)
 
 
