@@ -236,6 +236,7 @@ class Check(ByValue, Tabled):
         name, n, rate: the recording's name, number of samples and sample rate [Hz]; 0 if it cannot be read.
         lines: the checks, each with its name, a verdict "fine", "look" or "stop", and the reason in words.
         lengths: how long to record for N, B and K of each axis to be known to ±20 %.
+        notes: assumptions and findings of the reader.
     """
 
     name: str
@@ -243,6 +244,7 @@ class Check(ByValue, Tabled):
     rate: float
     lines: tuple[Line, ...]
     lengths: tuple[NeededLength, ...] = ()
+    notes: tuple[str, ...] = ()
 
     @property
     def verdict(self) -> Verdict:
@@ -275,6 +277,7 @@ class Check(ByValue, Tabled):
             "verdict": self.verdict,
             "lines": [dataclasses.asdict(line) | {"reason": line.reason} for line in self.lines],
             "lengths": [length.to_dict() for length in self.lengths],
+            "notes": list(self.notes),
         }
 
     def _title(self) -> str:
@@ -298,6 +301,7 @@ class Check(ByValue, Tabled):
             if more and not line.name.startswith("length for"):
                 yield f"{line.name}: {more}"
         yield f"fine: {self._names('fine') or 'none'}"
+        yield from (f"reading: {note}" for note in self.notes)
 
 
 def check(
@@ -351,7 +355,7 @@ def check_of(recording: Recording, inspection: Inspection) -> Check:
     widths = {name: spectrum and bandwidth_in(spectrum, k) for k, name in enumerate(quiet.names)}
     lengths = () if inspection.refusal or quiet.n < _FEWEST else tuple(_lengths(quiet, inspection, widths))
     lines = (*lines_of(recording, inspection, widths), *_of_length(inspection, lengths))
-    return Check(recording.name, recording.n, recording.rate, lines, lengths)
+    return Check(recording.name, recording.n, recording.rate, lines, lengths, recording.notes)
 
 
 def _of_length(inspection: Inspection, lengths: Sequence[NeededLength]) -> Iterator[Line]:

@@ -15,7 +15,7 @@ from allanjax.base.earth import STANDARD_GRAVITY as _G
 from allanjax.base.wording import clauses, duration, plain
 from allanjax.inspection.facts import Fact, amount
 from allanjax.inspection.first_look import Inspection
-from allanjax.inspection.plausible import describe_jitter, temperatures
+from allanjax.inspection.plausible import LOWEST_RATE, describe_jitter, temperatures
 from allanjax.inspection.units import groups
 from allanjax.record.recording import Recording
 from allanjax.record.units import rate_unit_of
@@ -95,7 +95,9 @@ def _without_facts(recording: Recording, inspection: Inspection) -> Iterator[Lin
     sensors = {axis.sensor for axis in recording.axes}
     if "accel" in sensors:
         yield _gravity(inspection)
-    if "gyro" in sensors:
+    if "gyro" in sensors and recording.rate < LOWEST_RATE:
+        yield Line("gyro unit", "look", "cannot be checked at a rate that no sensor has")
+    elif "gyro" in sensors:
         of_gyros = [(abs(x), axis) for x, axis in zip(inspection.mean, inspection.axes, strict=True)]
         size, axis = max((pair for pair in of_gyros if pair[1].sensor == "gyro"), key=lambda pair: pair[0])
         bias = f"{amount(size, axis)} ({axis.name})"

@@ -17,6 +17,7 @@ from allanjax.inspection.events import Event
 from allanjax.inspection.facts import NOT_A_MEASUREMENT, Fact, grid, ordered, span, warnings_of
 from allanjax.inspection.outliers import heavy_tails, spike_facts, spikes_in
 from allanjax.inspection.plausible import (
+    LOWEST_RATE,
     Ends,
     dead_facts,
     lattice,
@@ -242,7 +243,10 @@ def _inspection(
     moving = motions(part, axes, sampled.rate)
     # Sensors whose noise and mean may be motion.
     moved = SENSORS if vibrating else {axes[m.axis].sensor for m in moving}
-    facts = rate_facts(sampled, auxiliary) + units_of_record(sampled, part, found.steps, moved)
+    facts = rate_facts(sampled, auxiliary)
+    # At a wrong rate, noise is no evidence of the unit.
+    if sampled.rate >= LOWEST_RATE:
+        facts += units_of_record(sampled, part, found.steps, moved)
     if treatment.as_is:
         facts = [dataclasses.replace(fact, consequence="none") for fact in facts]
     # With a wrong unit noise looks like motion.

@@ -27,6 +27,8 @@ _COUNTED = 1 << 14
 SHORT = 60.0
 # Shorter ones [s], and higher rates [Hz], are no records of inertial sensors.
 _HARDLY, _HIGHEST_RATE = 1.0, 5e4
+#: Lower rates [Hz] are rather those of a clock that was misread.
+LOWEST_RATE = 0.99
 _WRONG_TIMES = "if the unit of the times is wrong, pass --time-unit, or --rate"
 # Fewer samples determine N so poorly that users are warned.
 _FEW_SAMPLES = 1000
@@ -57,6 +59,9 @@ _CHANCE = 0.01
 def rate_facts(sampled: Sampled, auxiliary: Mapping[str, Samples]) -> list[Fact]:
     """Return a fact about a rate that no sensor has, or that an unused column of times contradicts."""
     finding, remedy = f"the rate is {sampled.rate:g} Hz, which no inertial sensor has", _WRONG_TIMES
+    if sampled.rate < LOWEST_RATE:
+        slow = f"the rate is {sampled.rate:g} Hz, which hardly any inertial sensor has"
+        return [Fact("rate", slow, names_of(sampled.axes), meaning="units are not checked", remedy=remedy)]
     if sampled.rate <= _HIGHEST_RATE:
         finding, remedy = _contradiction(sampled.rate, auxiliary)
     names = names_of(sampled.axes)

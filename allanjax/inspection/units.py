@@ -306,8 +306,11 @@ def _doubts(shown: Sequence[_Shown]) -> list[Fact]:
     for k, x in enumerate(shown):
         if odds[k][0] >= _TRUSTED:
             continue
-        trusting = _prior(dataclasses.replace(x, given=1.0), 0.0)
-        impossible = bool(_normalised(alone[k] + np.log(trusting))[0] < _TRUSTED)
+        # Against a user's word, whole numbers alone are no evidence of counts.
+        beside = all(of[0] >= _TRUSTED for j, of in enumerate(odds) if j != k)
+        told = dataclasses.replace(x, step=0.0) if x.given is not None and beside else x
+        trusting = _prior(dataclasses.replace(told, given=1.0), 0.0)
+        impossible = bool(_normalised(_log_likelihood(told) + np.log(trusting))[0] < _TRUSTED)
         found = _finding(x) + "".join(_beside(shown[j], odds[j]) for j in range(len(shown)) if j != k)
         meaning, remedy = _advice(x, odds[k], impossible)
         # The mean of one or two accelerometers depends on their tilt. A unit that the user gave is refused if

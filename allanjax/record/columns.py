@@ -4,7 +4,7 @@ import difflib
 import os
 import re
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, ClassVar, Literal, Self, cast
@@ -66,7 +66,7 @@ _UNIT_SUFFIXES = {
     "mg": "mg",
     "g": "g",
 }
-# Names of time stamps, alone, with a unit at the end, and of one part of a pair of seconds and nanoseconds.
+# Names of time stamps, alone, with a unit at the end, and of one part of a pair of seconds and parts of them.
 _TIME = re.compile(
     r"(?:.*_)?(?:time|timestamp|time_stamp|stamp)(?:_(?:fine|unix|utc|gps|sample|gyro|gyr|accel|acc|imu))*"
     r"|t|ts|\w*timestamp"
@@ -74,7 +74,7 @@ _TIME = re.compile(
 _TIME_SUFFIX = re.compile(
     r"(.+?)_(s|sec|secs|seconds|ms|msec|us|usec|ns|nsec|nanoseconds|min|minutes|h|hours|days)"
 )
-_TIME_PART = re.compile(r"(.*?)_?(secs?|seconds|nsecs?|nanosecs?|nanoseconds)")
+_TIME_PART = re.compile(r"(.*?)_?((?:n|u|m|nano|micro|milli)?sec(?:ond)?s?)")
 # Names of sample counters, which are times if the rate is known; and clocks of a known unit.
 _COUNTER = re.compile(r"(?:.*_)?(?:packet|sample|frame|message|msg)_?(?:counter|count|number|num|index|nr)")
 _CLOCKS = {"sample_time_fine": "0.1 ms", "millis": "ms", "micros": "us", "nanos": "ns"}
@@ -107,7 +107,7 @@ class Column:
         sensor: sensor of an axis, else None.
         unit: unit that the label states, if any.
         increment: whether the label says that the samples are increments (`delta_angle_x`).
-        time_part: for stamps split over two columns, (common prefix, `s` or `ns`).
+        time_part: for stamps split over two columns, (common prefix, `s`, `ms`, `us` or `ns`).
         index: place in the file, from 0.
     """
 
@@ -170,6 +170,12 @@ def with_unit(name: str, unit: str | None) -> str:
     return f"{name} [{unit}]" if unit and split_unit(name)[1] is None else name
 
 
+def elements_of(label: str, count: int) -> list[str]:
+    """Return labels of the elements of an array: `gyro_x [deg/s]` … of three, else `gyro_0 [deg/s]` …."""
+    stem, unit = split_unit(label)
+    return [with_unit(f"{stem}_{end}", unit) for end in ("xyz" if count == 3 else range(count))]
+
+
 def _words(stem: str) -> str:
     """Return a name as lower-case words joined by underscores, e.g. for `GyroX`, `gyro.x` or `gyro[0]`."""
     stem = re.sub(r"(?<=[a-z])(?=[A-Z])", "_", stem)
@@ -207,12 +213,20 @@ def _time(label: str, stem: str, words: str, unit: str | None) -> Column | None:
     suffix, part = _TIME_SUFFIX.fullmatch(words), _TIME_PART.fullmatch(words)
     time_part = None
     if part is not None:
-        time_part = part[1], "ns" if part[2].startswith("n") else "s"
+        time_part = part[1], _unit_of_part(part[2])
     if suffix is not None and _TIME.fullmatch(suffix[1]):
+        if suffix[2] in ("s", "ms", "us", "ns"):
+            time_part = suffix[1], suffix[2]
         return Column(label, "time", stem, unit=unit or suffix[2], time_part=time_part)
     if time_part is not None:
         return Column(label, "time", stem, unit=unit or time_part[1], time_part=time_part)
     return None
+
+
+def _unit_of_part(name: str) -> str:
+    """Return the unit of times with a name such as `usec` or `microseconds`."""
+    prefix = name.partition("sec")[0]
+    return f"{'u' if prefix == 'micro' else prefix[:1]}s"
 
 
 @dataclass(frozen=True)
@@ -254,7 +268,7 @@ def axes_of(
     columns: Sequence[Column],
     units: Mapping[Sensor, str | None],
     source: Source,
-    samples: Sequence[np.ndarray] = (),
+    samples: Callable[[], Sequence[np.ndarray]] = tuple,
 ) -> tuple[tuple[Axis, ...], tuple[str, ...]]:
     """Return axes from columns, in the unit given for the sensor or else that of the label; and notes.
 
@@ -273,16 +287,16 @@ def axes_of(
         if column.unit is None and units[column.sensor] is None:
             nameless.setdefault(column.sensor, column)
     if nameless:
-        options = [_unit_option(sensor, "", columns, samples) for sensor in nameless]
+        options = [_unit_option(sensor, "", columns, samples()) for sensor in nameless]
         raise source.unit_error(_without_unit(nameless, options, source))
     for column in named:
         sensor = cast(Sensor, column.sensor)
         given = units[sensor]
         text = (column.unit or "") if given is None else given
-        option = _unit_option(sensor, text, columns, samples)
         try:
             unit = parse_sample_unit(text, sensor)
         except UnitError as error:
+            option = _unit_option(sensor, text, columns, samples())
             ours = f"column {column.label!r}: {error}; pass {option}"
             wrong = ours if given is None else f"{option}: {error}"
             raise source.unit_error(wrong) from error

@@ -194,7 +194,8 @@ def completed(values: Values, missing: Which) -> Values:
             )
         x = bridged(full[:, k], missing[:, k])
         rng = np.random.default_rng(seed_of(x))
-        v, changed = _spectrum(x), np.inf
+        x, v = _begun(x, missing[:, k])
+        changed = np.inf
         for _ in range(_TURNS):
             draw = in_time(np.sqrt(v) * rng.standard_normal(n - 1)) + x.mean()
             x[lost] = draw[lost] + predicted(x - draw, missing[:, k], v)[lost]
@@ -215,6 +216,34 @@ def bridged(x: Float[np.ndarray, " n"], missing: Bool[np.ndarray, " n"]) -> Floa
     full, there = x.astype(float), np.flatnonzero(~missing)
     full[missing] = np.interp(np.flatnonzero(missing), there, x[there])
     return full
+
+
+def _begun(
+    x: Float[np.ndarray, " n"], missing: Bool[np.ndarray, " n"]
+) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n-1"]]:
+    """Return samples with lines across long gaps that begin and end at means, and their first spectrum.
+
+    A line between two samples has their noise, but lasts as long as the gap: it is power at low frequencies
+    that would be drawn anew in every turn. What the gaps lack of the whole power is allowed for.
+    """
+    runs = runs_of(missing)
+    long = runs[np.diff(runs)[:, 0] > GAPS_AT_ONCE]
+    share, n, begun = 0.0, len(x), x.copy()
+    window = _window(n) ** 2
+    for first, end in long.tolist():
+        size = end - first
+        sides = slice(max(first - size, 0), first), slice(end, end + size)
+        means = [float(x[side][~missing[side]].mean()) for side in sides if not missing[side].all()]
+        # From the middle of one side to that of the other.
+        rise = (np.arange(size) + 0.5 + 0.5 * size) / (2.0 * size)
+        begun[first:end] = means[0] + (means[-1] - means[0]) * rise
+        share += float(window[first:end].sum() / window.sum())
+    return begun, _spectrum(begun) / (1.0 - share)
+
+
+def _window(n: int) -> Float[np.ndarray, " n"]:
+    """Return Hann's window, of mean one."""
+    return 1.0 - np.cos(2.0 * np.pi * (np.arange(n) + 0.5) / n)
 
 
 def notes_on(missing: Which, rate: float, names: Sequence[str]) -> tuple[str, ...]:
@@ -322,8 +351,7 @@ def _spectrum(x: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n-1"]:
     flanks of a filter; averages of the remainder preserve the power of a line.
     """
     n = len(x)
-    window = 1.0 - np.cos(2.0 * np.pi * (np.arange(n) + 0.5) / n)
-    power = np.abs(rfft((x - x.mean()) * window, workers=-1)) ** 2 / (1.5 * n)
+    power = np.abs(rfft((x - x.mean()) * _window(n), workers=-1)) ** 2 / (1.5 * n)
     power[0] = power[1]
     power = np.maximum(power, 1e-18 * power.max())
     flanks = np.exp(_averaged(np.log(power), n))

@@ -24,7 +24,7 @@ from allanjax.record.completion import (
     notes_on,
     rows_between,
 )
-from allanjax.record.io.kinds import of_one_kind
+from allanjax.record.io.kinds import of_one_sensor
 from allanjax.record.io.layout import Layout
 from allanjax.record.io.memory import columns_of, real_numbers, table_of_array, table_of_frame
 from allanjax.record.io.options import GapChoice, ReadOptions
@@ -313,7 +313,7 @@ class Recording(ByValue):
 
 def recording_of(table: Table, name: str, options: ReadOptions) -> Recording:
     """Make a recording from a table, with the errors of `read`."""
-    table, columns = of_one_kind(table, table.columns(), options)
+    table, columns = of_one_sensor(table, table.columns(), options)
     layout = Layout.of(table, columns, options)
     record = Record.of(table, layout, columns, options)
     return _recording(table, layout, record, name)

@@ -94,8 +94,8 @@ def check_length(samples: int, source: Source, is_part: bool = False) -> None:
         if is_part:
             remedy = "read a longer part with start= and stop="
         raise source.error(
-            f"too short: {samples} samples, but at least {MIN_SAMPLES} are needed (thousands for a useful "
-            f"fit); {remedy}"
+            f"too short: {samples} sample{'s' * (samples != 1)}, but at least {MIN_SAMPLES} are needed "
+            f"(thousands for a useful fit); {remedy}"
         )
 
 

@@ -462,7 +462,7 @@ UNIT = "a.csv --rate 100 --gyro-unit deg/s"
         ("check a.csv --no-json", 2, "--no-json"),
         ("check a.csv --rate none", 2, "--rate"),
         ("check a.csv --gaps none", 2, "segments"),
-        ("check a.csv --instance 1.5", 2, "--instance"),
+        ("check a.csv --instance left", 1, "--instance"),
         ("fleet a.csv --workers 0", 2, "--workers"),
     ],
 )

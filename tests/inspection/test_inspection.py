@@ -366,6 +366,21 @@ def test_whole_numbers_are_counts_whatever_the_unit_that_is_given():
     assert not [f for f in aj.inspect(labelled(fine, "mdeg/s", "mg")).facts if "unit" in f.kind]
 
 
+def test_whole_numbers_are_a_doubt_of_what_a_user_says_and_no_veto():
+    """Betaflight logs whole deg/s beside counts of accelerometers; a label of deg/s would not be believed."""
+    rng = np.random.default_rng(44)
+    x = np.hstack(
+        [rng.normal([0.2, -0.1, 0.4], [1.2, 1.6, 1.9], (N, 3)), rng.normal([30, -40, 2050], 9, (N, 3))]
+    )
+    own = np.rint(x)
+    stated = recording(own, gyro_unit="deg/s", accel_unit="g/2048")
+    (fact,) = (fact for fact in aj.inspect(stated).facts if "unit" in fact.kind)
+    assert (fact.kind, fact.grave) == ("gyro unit", False)
+    assert aj.fit(stated, "N", plain=True)["gyro_x"].measured
+    (fact,) = (fact for fact in aj.inspect(labelled(own, "deg/s", "g/2048")).facts if "unit" in fact.kind)
+    assert fact.grave
+
+
 def test_one_sensor_alone_is_judged_by_what_it_shows():
     """Of gyros, the noise and the bias; of accelerometers, gravity; a single tilted axis tells little."""
     x = values(43)

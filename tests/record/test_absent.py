@@ -81,7 +81,7 @@ def test_a_sensor_at_half_the_rate_of_its_rows(counts, read):
         read(x)
     gyro = read(x, columns="gyro", accel_unit=None)
     assert gyro.rate == pytest.approx(100.0)
-    np.testing.assert_array_equal(np.rint(gyro.own_values), counts[2::2, :3])
+    np.testing.assert_array_equal(np.rint(gyro.own_values), counts[::2, :3])
 
 
 def test_numbers_that_have_wrapped_are_shifted_back(counts, read):
@@ -92,6 +92,22 @@ def test_numbers_that_have_wrapped_are_shifted_back(counts, read):
     recording = read(wrapped)
     np.testing.assert_array_equal(np.rint(recording.own_values), x)
     assert noted(recording, "wrapped at 16 bits")
+
+
+def test_counts_without_their_sign_have_none_on_any_axis(counts, read):
+    """An axis far from zero does not wrap itself, and is known by the others of the file."""
+    x = counts.copy()
+    x[:, 4] -= 279
+    wrapped = x % 65_536
+    assert wrapped[:, 4].min() > 65_000
+    recording = read(wrapped)
+    np.testing.assert_array_equal(np.rint(recording.own_values), x)
+    assert noted(recording, "accel: ", "wrapped at 16 bits")
+    refused(lambda: read(wrapped, accel_unit=None), "accel_unit='g/16384'", aj.UnitError)
+    # Without an axis that wraps, or beside numbers that are no counts, nothing tells of a sign.
+    large = counts + np.array([100, 100, 100, 500, 40_000, 500])
+    for other in (large, np.hstack([wrapped[:, :3], large[:, 3:] + 0.5])):
+        np.testing.assert_allclose(read(other).own_values[:, 4], other[:, 4], rtol=1e-9)
 
 
 def test_what_is_constant_at_an_end_is_no_record(counts, read):

@@ -160,6 +160,34 @@ def test_a_completed_record_has_the_spectrum_of_a_whole_one():
         np.testing.assert_allclose(ratio[200:26_200].reshape(-1, 2000).mean(axis=1), 1.0, atol=close)
 
 
+def test_segments_come_before_filling_in_if_a_gap_is_long(written):
+    """Samples lost at random, without and with a pause of 5 % of the record."""
+    table = whole()[~(np.random.default_rng(3).random(N) < 0.08)]
+    for pause, first in ((0.0, "fill"), (10.0, "segments")):
+        later = table.assign(**{"time [s]": table["time [s]"] + pause * (table.index > N // 2)})
+        message = str(refused(written(later), "gaps='fill'|gaps='segments'"))
+        assert message.index(f"gaps='{first}'") == message.index("gaps='")
+
+
+def test_a_long_gap_is_filled_with_noise_of_the_right_size_at_all_frequencies():
+    """White noise: the mean of a gap scatters by less than twice that of as many samples; the rms is right.
+
+    48 means determine their scatter to 10 %, and 48 gaps the noise to 0.3 %.
+    """
+    n, means, rms = 10_000, [], []
+    lost = slice(n // 3, n // 3 + int(0.3 * n))
+    for seed in range(16):
+        x = np.random.default_rng(seed).standard_normal((n, 3))
+        there = np.delete(x, lost, axis=0)
+        x[lost] = np.nan
+        drawn = filled(x).values[lost]
+        means.append(drawn.mean(axis=0) * np.sqrt(len(drawn)))
+        rms.append(drawn.std(axis=0) / there.std(axis=0))
+    # The mean of the gap is that of its own samples and, in part, of those that determine it.
+    assert np.std(means) < 2.0
+    assert np.mean(rms) == pytest.approx(1.0, abs=0.025)
+
+
 def test_a_line_goes_on_through_gaps():
     """Ten times the noise, through gaps of 18 periods; what is drawn beside it is noise of its own level."""
     n, rng = 16_384, np.random.default_rng(9)

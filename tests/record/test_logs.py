@@ -95,7 +95,7 @@ def test_topics_that_do_not_fit(bag):
 def test_bags_that_can_not_be_read(tmp_path, bag, monkeypatch):
     refused(bag("ros1", {}, other=True), "/words (std_msgs/msg/String)")
     refused(bag("mcap", {"/imu": Topic(stamps(), 0 * VALUES)}), "/imu|zeros")
-    refused(bag("ros1", {"/imu": Topic([5], VALUES[:1], [6])}), "1 samples")
+    refused(bag("ros1", {"/imu": Topic([5], VALUES[:1], [6])}), "1 sample,")
     # Numbers with their largest byte first.
     check(aj.read(bag("mcap", {"/imu": Topic(stamps(), VALUES, frames=["", "a", "imu_link"])}, big=True)))
     whole = bag("ros1")

@@ -174,6 +174,16 @@ def in_turn(path):
     path.write_text("\n".join([*made, ""]), encoding="utf-8")
 
 
+def of_two(path):
+    made = [f"{k / 200},{k % 2}," + ",".join(map(str, x)) for k, x in enumerate(np.round(NOISE[:, :3], 4))]
+    path.write_text("\n".join([",".join(["time [s]", "sensor_id", *HEADER[:3]]), *made, ""]))
+
+
+def of_two_later(path):
+    made = [f"{int(k > 30)}," + ",".join(map(str, x)) for k, x in enumerate(np.round(NOISE[:, :3], 4))]
+    path.write_text("\n".join([",".join(["sensor_id", *HEADER[:3]]), *made, ""]))
+
+
 TRIADS = [(row[:3], row[3:]) for row in np.round(NOISE, 4).tolist()]
 # What a user knows who is asked.
 KNOWN = {"rate": 100.0, "gyro_unit": "deg/s", "accel_unit": "g", "time_unit": "ms", "time": "time [s]"}
@@ -221,6 +231,8 @@ REMEDIES = {
     ),
     "in turn": (text(BOTH, cells=IN_TURN, times=TIMES), {}, {50.0}),
     "kinds": (in_turn, {}, {100.0}),
+    "two sensors": (of_two, {}, {100.0}),
+    "another sensor": (of_two, {"instance": 4}, {100.0}),
     "no such time": (text(times=TIMES), {"time": "clock"}, {100.0}),
     "no time in a row": (text(times=TIMES, cells={(7, 0): "nan"}), {}, {100.0}),
     "no clock in a row": (
@@ -510,6 +522,7 @@ CALLS = [
     (lambda f: aj.fit(NOISE, **UNITS), "rate=", aj.AllanjaxError),
     (lambda f: aj.fit(["a", "b"], rate=1.0, **UNITS), "allanjax.read", aj.AllanjaxError),
     (lambda f: aj.Recording.from_dataframe(7), "columns by name"),
+    (lambda f: aj.fit(pd.DataFrame({"gyro [deg/s]": [[1.0], [2.0, 3.0]]})), "'gyro [deg/s]'|column per axis"),
     (lambda f: made(NOISE * [1, 1, 1, 1, 1, 0], 50.0, **UNITS).select("accel_z"), "accel_z was left out"),
     (lambda f: aj.allan_deviation(RECORDING)["mag"], "mag|gyro_x", aj.AllanjaxError),
     (lambda f: aj.read(f / "none.csv"), "no such file"),
@@ -528,7 +541,11 @@ CALLS = [
     ),
     (lambda f: [write(f / "v.npy", np.zeros(9, [("a", "c16")])), aj.read(f / "v.npy")], "dtype"),
     (lambda f: [(f / "d.npz").write_bytes(b"PK\3\4" + bytes(99)), aj.read(f / "d.npz")], "save it again"),
-    (lambda f: [in_turn(f / "k.csv"), aj.read_chunks(f / "k.csv", columns="gyro")], "several kinds"),
+    (lambda f: [in_turn(f / "k.csv"), aj.read_chunks(f / "k.csv", columns="gyro")], "several sensors"),
+    (
+        lambda f: [of_two_later(f / "s.csv"), list(aj.read_chunks(f / "s.csv", chunk=30, **RATE))],
+        "0 and 1 among|instance=",
+    ),
     (lambda f: aj.convert(1.0, "what", "deg/h"), "deg/h", aj.UnitError),
     (lambda f: aj.convert(1.0, "deg/s", "s"), "deg/h", aj.UnitError),
     (lambda f: aj.convert(1.0, "m/s^2", "deg/h", "gyro"), "for an accelerometer", aj.UnitError),

@@ -207,3 +207,79 @@ def test_what_is_given_is_used_or_refused(read):
     # Columns that are called x, y and z are those of the one sensor whose unit is given.
     named = table.set_axis(["time [s]", "x", "y", "z"], axis=1)
     assert read(named, gyro_unit="deg/s").names == ("gyro_x", "gyro_y", "gyro_z")
+
+
+@pytest.mark.parametrize(
+    ("labels", "size"),
+    [
+        (("sec", "usec"), 1e-6),
+        (("tv_sec", "tv_usec"), 1e-6),
+        (("time_s", "time_ms"), 1e-3),
+        (("seconds", "microseconds"), 1e-6),
+        (("header.stamp.secs", "header.stamp.nsecs"), 1e-9),
+    ],
+)
+def test_seconds_and_parts_of_them_are_one_clock(read, labels, size):
+    """A pause of whole seconds shows in the seconds only; times that are complete are no pair."""
+    ticks = np.rint((0.123 + np.arange(N) / 250.0) / size).astype(np.int64)
+    whole, parts = np.divmod(ticks, round(1.0 / size))
+    x = samples(250.0)
+    recording = read(frame(1_709_290_800 + whole, x, labels[0], **{labels[1]: parts}))
+    is_right(recording, 250.0)
+    assert noted(recording, f"{labels[0]} + {labels[1]}")
+    paused = whole + 7 * (np.arange(N) >= 3000)
+    refused(lambda: read(frame(paused, x, labels[0], **{labels[1]: parts})), "gap of 7.004 s")
+    if labels[0] == "time_s":
+        is_right(read(frame(ticks * size, x, labels[0], **{labels[1]: ticks})), 250.0)
+
+
+def test_a_rate_that_no_sensor_has_puts_the_clock_in_doubt_and_no_unit(tmp_path):
+    path = tmp_path / "imu.csv"
+    frame(4000.0 * np.arange(N), samples(200.0)).to_csv(path, index=False)
+    checks = {c["name"]: c for c in json.loads(run("check", path, "--json").stdout)["checks"][0]["lines"]}
+    assert checks["rate"]["verdict"] == "look"
+    assert "0.00025 Hz" in checks["rate"]["reason"]
+    assert "--time-unit" in checks["rate"]["reason"]
+    assert "cannot be checked" in checks["gyro unit"]["reason"]
+
+
+def test_rows_out_of_order_are_sorted_by_even_times(read):
+    """A few places off, as packets are; with a missing sample; not where stamps are those of arrival."""
+    order, x = np.arange(N), samples(100.0)
+    for first in range(50, N - 50, 400):
+        order[first : first + 3] = order[first : first + 3][[2, 0, 1]]
+    recording = read(frame(order / 100.0, x[order]))
+    is_right(recording, 100.0)
+    np.testing.assert_allclose(recording.own_values, x, rtol=1e-9)
+    assert noted(recording, "rows that are out of order are sorted")
+    kept = np.delete(order, 3000)
+    refused(lambda: read(frame(kept / 100.0, x[kept])), "gap of 0.02 s|gaps='fill'")
+    late = np.arange(N) / 100.0 + np.random.default_rng(5).exponential(0.01, N)
+    assert not noted(read(frame(late, x)), "out of order")
+
+
+def test_a_clock_that_was_set_back_is_no_counter_that_overflows(read):
+    """Both go on; one is at any time, the other near zero."""
+    k, x = np.arange(N), samples(100.0)
+    unix = read(frame(1_709_290_800.0 + k / 100.0 - 3600.0 * (k >= 3000), x, "unix_time"))
+    is_right(unix, 100.0)
+    assert noted(unix, "is set back once, by 3,600 s")
+    micros = read(frame((2**32 - 10_000_000 + 10_000 * k) % 2**32, x, "micros"))
+    is_right(micros, 100.0)
+    assert noted(micros, "starts again once, like a counter that overflows")
+
+
+def test_a_check_shows_what_reading_found(read, tmp_path):
+    table = frame(np.arange(N) / 100.0, samples(100.0))
+    table.iloc[np.arange(100, 6000, 150), 1:] = 0.0
+    recording = read(table)
+    assert recording.missing.sum() == 3 * 40
+    words = "gyro: 40 samples are exactly 0 on all axes: failed reads"
+    assert noted(recording, words)
+    assert words in " ".join(str(aj.check(recording)).split())
+    (document,) = json.loads(run("check", tmp_path / "imu.parquet", "--json").stdout)["checks"]
+    assert document["notes"] == list(recording.notes)
+    # Coarse numbers are often zero on all axes.
+    coarse = frame(np.arange(N) / 100.0, np.round(samples(100.0) / DENSITY / 10.0))
+    assert read(coarse).missing is None
+    refused(lambda: read(table[:1], rate=100.0, time="none"), "too short: 1 sample, but")

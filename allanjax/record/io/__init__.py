@@ -29,7 +29,7 @@ def read(
     start: float | None = None,
     stop: float | None = None,
     topic: str | None = None,
-    instance: int | None = None,
+    instance: int | str | None = None,
     gaps: GapChoice | None = None,
     force: bool = False,
 ) -> Recording:
@@ -58,7 +58,8 @@ def read(
         stop: time to stop before, in s from the file's first sample.
         topic: topic of a ROS bag with several of sensor_msgs/Imu, or message of a flight log, e.g.
             `sensor_gyro`; two, separated by a comma, if gyros and accelerometers are separate.
-        instance: number of the sensor in a flight log that has several; by default the first.
+        instance: number or name of the sensor in a file that has several: in a flight log by default the
+            first; in a table as a column such as `sensor_id` says.
         gaps: what to do about missing samples, in the time stamps or as empty cells: "error", the default,
             reports where they are and what to do; "segments" reads the longest segment without gaps and
             keeps others for Allan deviations and noise terms (`others` of the recording, up to 15 of 64

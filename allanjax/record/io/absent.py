@@ -9,7 +9,6 @@ from allanjax.base.wording import plain
 from allanjax.record.columns import Column, axes_by_sensor
 from allanjax.record.completion import runs_of
 from allanjax.record.shapes import Channel, Chosen, Values, Which
-from allanjax.record.units import Sensor
 
 # A marker is farther from all other samples than so many of their standard deviations (or steps, if these are
 # larger), and occurs so often.
@@ -18,6 +17,8 @@ _FAR, _LEAST = 20.0, 3
 _HALF = 0.5
 # Share of the rows with a marker in which other axes have it, too, if all are written at once.
 _AT_ONCE = 0.9
+# So many samples that are zero on all axes may be expected by chance.
+_BY_CHANCE = 1e-3
 # Equal samples in a row are held ones if there are so many, and a sensor that is alive has them in a record
 # with less than this probability.
 _SHORTEST, _CHANCE = 32, 1e-9
@@ -79,14 +80,16 @@ def without_samples(values: Values, columns: Sequence[Column]) -> Absent:
             f"{column.label!r}: {np.count_nonzero(rows):,} samples are exactly {marker:.6g}, far from all "
             f"others: {what}; left out"
         )
-    shifted = np.where(at, np.nan, values) if at.any() else values
+    shifted, wrapped_notes = unwrapped(np.where(at, np.nan, values) if at.any() else values, columns)
+    notes += wrapped_notes
     for sensor, own in axes_by_sensor(columns).items():
-        unwrapped, wrapped_notes = _unwrapped(shifted[:, own], sensor)
-        if wrapped_notes:
-            shifted = np.array(shifted)
-            shifted[:, own] = unwrapped
-            notes += wrapped_notes
-        held = _held(unwrapped)
+        failed = _failed(shifted[:, own])
+        if failed.any():
+            at[:, own] |= failed[:, None]
+            notes.append(
+                f"{sensor}: {failed.sum():,} samples are exactly 0 on all axes: failed reads; left out"
+            )
+        held = _held(shifted[:, own])
         if held.any():
             at[:, own] |= held[:, None]
             lengths = np.diff(runs_of(held))[:, 0]
@@ -130,6 +133,18 @@ def _step(x: Channel) -> float:
     return float(gaps.min()) if len(gaps) else 0.0
 
 
+def _failed(values: Values) -> Chosen:
+    """Return which samples of a sensor are zero on all axes, if that is no chance; a few of all at most."""
+    zero = values[:, np.fmax.reduce(values, axis=0) > np.fmin.reduce(values, axis=0)] == 0.0
+    failed = zero.all(axis=1) & (zero.shape[1] > 1)
+    count, n = int(failed.sum()), len(failed)
+    if not _LEAST <= count <= _MOST_HELD * n:
+        return np.zeros(n, bool)
+    # Zeros of single axes tell how often all of them would be zero.
+    share = np.maximum(zero[~failed].mean(axis=0), 1.0 / n)
+    return failed if n * float(np.prod(share)) < _BY_CHANCE else np.zeros(n, bool)
+
+
 def _held(values: Values) -> Chosen:
     """Return which samples of a sensor repeat those before so often in a row that it was not sampled."""
     same = np.concatenate([[False], (values[1:] == values[:-1]).all(axis=1)])
@@ -156,21 +171,35 @@ def _held(values: Values) -> Chosen:
     return held
 
 
-def _unwrapped(values: Values, sensor: Sensor | None) -> tuple[Values, list[str]]:
-    """Return the samples of a sensor with wrapped ones shifted back, and a note if there are any."""
-    turns = [_turn(x) for x in values.T]
-    turn = max(turns)
-    if not turn:
+def unwrapped(values: Values, columns: Sequence[Column]) -> tuple[Values, list[str]]:
+    """Return samples with wrapped ones shifted back, and notes on them."""
+    turns = np.array([_turn(x) for x in values.T])
+    if not turns.any():
         return values, []
-    # Counts of both signs that were read as positive ones, on all axes, or those beyond the largest.
-    positive = np.fmin.reduce(values, axis=None) >= 0.0
-    beyond = values >= 0.5 * turn if positive else values > 0.0
-    beyond &= positive | (np.array(turns) > 0.0)
-    bits = int(np.log2(turn / min(_step(x) for x, own in zip(values.T, turns, strict=True) if own)))
-    count = int(np.count_nonzero(beyond))
-    return np.where(beyond, values - turn, values), [
-        f"{sensor}: {count:,} samples have wrapped at {bits} bits; shifted back"
-    ]
+    low = np.fmin.reduce(values, axis=0)
+    # Counts of both signs that were written as positive ones are so on all axes, also where none wraps.
+    is_count = (low >= 0.0) & ~((values % 1.0 > 0.0).any(axis=0))
+    of_file = float(max(turns[is_count], default=0.0))
+    is_count &= np.fmax.reduce(values, axis=0) < of_file
+    notes = []
+    shifted = values
+    for sensor, own in axes_by_sensor(columns).items():
+        turn = float(turns[own].max()) or (of_file if is_count[own].all() else 0.0)
+        if not turn:
+            continue
+        part = shifted[:, own]
+        positive = low[own].min() >= 0.0
+        beyond = part >= 0.5 * turn if positive else part > 0.0
+        beyond &= positive | (turns[own] > 0.0)
+        count = int(np.count_nonzero(beyond))
+        if not count:
+            continue
+        step = min((_step(x) for x, k in zip(part.T, turns[own], strict=True) if k), default=1.0)
+        bits = int(np.log2(turn / step))
+        shifted = shifted.copy() if shifted is values else shifted
+        shifted[:, own] = np.where(beyond, part - turn, part)
+        notes.append(f"{sensor}: {count:,} samples have wrapped at {bits} bits; shifted back")
+    return shifted, notes
 
 
 def _turn(x: Channel) -> float:

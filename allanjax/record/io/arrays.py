@@ -7,7 +7,7 @@ import struct
 import warnings
 import zipfile
 import zlib
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
@@ -15,8 +15,16 @@ from typing import Any
 
 import numpy as np
 
-from allanjax.record.columns import split_unit, with_unit
-from allanjax.record.io.table import Columns, Format, Table, check_claim, damage_reported, optional_package
+from allanjax.record.columns import elements_of, split_unit, with_unit
+from allanjax.record.io.table import (
+    Columns,
+    Format,
+    Table,
+    check_claim,
+    damage_reported,
+    optional_package,
+    spread,
+)
 from allanjax.record.validation import Source
 
 # Names of scalars that state the sample rate, or the sample interval.
@@ -59,9 +67,15 @@ def _npy_columns(path: Path, source: Source) -> tuple[Columns, tuple[str, ...] |
     with damage_reported(source, ".npy", "save a plain array of numbers, and copy the whole file"):
         array = np.load(path, "r", allow_pickle=False)
         names = array.dtype.names
-        if names and (array.ndim != 1 or any(array[name].dtype.kind not in "fiubMSU" for name in names)):
+        if not names:
+            return _columns_of(array, "the array", source), None
+        fields = {name: array[name] for name in names}
+        if array.ndim != 1 or any(x.dtype.kind not in "fiubMSU" or x.ndim > 2 for x in fields.values()):
             raise source.error(f"the array has the dtype {array.dtype}; save columns of plain numbers")
-    return tuple(array[name] for name in names) if names else _columns_of(array, "the array", source), names
+    every: dict[str, np.ndarray] = {}
+    for name, values in fields.items():
+        every |= spread(name, values)
+    return tuple(every.values()), tuple(every)
 
 
 def read_npz(path: Path, source: Source) -> Table:
@@ -96,15 +110,29 @@ def open_parquet(path: Path, source: Source) -> Table:
     with damage_reported(source, "Parquet", "write it again"), pq.ParquetFile(path) as file:
         n, labels = file.metadata.num_rows, tuple(file.schema_arrow.names)
         check_claim(n * len(labels), path, source)
+        # Cells may be lists, whose length the first row tells.
+        first = next(file.iter_batches(1), None)
+        every = labels if first is None else tuple(_spread(labels, first.columns))
 
     def rows(chunk: int) -> Iterator[Columns]:
         # By default whole groups of rows are read before their first row.
         opened = pq.ParquetFile(path, pre_buffer=False, buffer_size=1 << 20)
         with damage_reported(source, "Parquet", "write it again"), opened as file:
             for batch in file.iter_batches(min(chunk, max(n, 1))):
-                yield tuple(map(_column, batch.columns))
+                columns = _spread(labels, batch.columns)
+                if tuple(columns) != every:
+                    raise ValueError("the lists in a column differ in length")
+                yield tuple(columns.values())
 
-    return Table(rows, labels, source, n)
+    return Table(rows, every, source, n)
+
+
+def _spread(labels: Sequence[str], columns: Sequence[Any]) -> dict[str, np.ndarray]:
+    """Return columns of a Parquet file by label, those of lists as columns of their elements."""
+    found: dict[str, np.ndarray] = {}
+    for label, column in zip(labels, columns, strict=True):
+        found |= spread(label, _column(column))
+    return found
 
 
 def _column(column: Any) -> np.ndarray:
@@ -134,10 +162,8 @@ def from_named(arrays: Mapping[str, np.ndarray], source: Source) -> Table:
         else:
             parts = _columns_of(array, repr(name), source)
             matrices += len(parts) > 1
-            stem, unit = split_unit(name)
-            ends = [f"_{end}" for end in ("xyz" if len(parts) == 3 else range(len(parts)))]
-            labels = [with_unit(f"{stem}{end}", unit) for end in ends]
-            columns |= dict(zip([name] if len(parts) == 1 else labels, parts, strict=True))
+            labels = [name] if len(parts) == 1 else elements_of(name, len(parts))
+            columns |= dict(zip(labels, parts, strict=True))
     if not columns:
         raise source.error("no array of samples; save one column per axis, or gyro and accel [samples, 3]")
     lengths = {name: len(column) for name, column in columns.items()}

@@ -2,7 +2,7 @@
 
 import os
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +14,7 @@ from allanjax.record.completion import rows_between
 from allanjax.record.io.absent import without_samples
 from allanjax.record.io.formats import format_of, name_of
 from allanjax.record.io.grid import Stamps
-from allanjax.record.io.kinds import of_one_kind
+from allanjax.record.io.kinds import named_later, of_one_sensor
 from allanjax.record.io.layout import Layout
 from allanjax.record.io.options import ReadOptions
 from allanjax.record.io.record import (
@@ -28,6 +28,7 @@ from allanjax.record.io.table import Columns, Table, as_float, is_numeric
 from allanjax.record.io.times import IGNORE, MAX_RATE_DIFFERENCE, Clock, Seconds
 from allanjax.record.units import Sensor
 from allanjax.record.validation import (
+    MIN_SAMPLES,
     Source,
     bad_cells,
     check_finite,
@@ -173,13 +174,14 @@ def chunks_of(table: Table, name: str, options: ReadOptions, chunk: int) -> Chun
     first = next(table.rows(chunk), None)
     if first is None:
         raise source.no_rows()
-    if of_one_kind(table, first, options)[0] is not table:
-        raise source.error("rows of several kinds are read only by read() (without --stream)")
+    if of_one_sensor(table, first, options)[0] is not table:
+        raise source.error("rows of several sensors are read only by read() (without --stream)")
     layout = Layout.of(table, first, options)
     rate, notes = stated_rate(table, layout, options.rate)
     if layout.auxiliary:
         notes += (f"not read: {', '.join(column.name for column in layout.auxiliary)}",)
-    part = _PartOfFile(table, layout, None, options.start, options.stop, chunk)
+    named = named_later(table, first, options)
+    part = _PartOfFile(table, layout, None, options.start, options.stop, chunk, named=named)
     notes = (*layout.notes, *notes)
     found = ChunkedRecording(rate or 0.0, layout.axes, name, table.n, layout.given, notes, part)
     return _timed(found, rate, first, options) if layout.clock else _counted(found)
@@ -236,6 +238,7 @@ class _PartOfFile:
     chunk: int
     stamped: float | None = None
     step: float = 0.0
+    named: Mapping[int, object] = field(default_factory=dict)
 
     @property
     def is_cut(self) -> bool:
@@ -263,6 +266,12 @@ class _PartOfFile:
         last: Columns = ()
         for columns in self.table.rows(self.chunk):
             size, stamps = len(columns[0]), self.layout.stamps(columns)
+            for k, name in self.named.items():
+                if np.count_nonzero(columns[k] != name) >= MIN_SAMPLES:
+                    raise self.table.source.error(
+                        f"rows are of several sensors, {name} and {columns[k][-1]} among them, which only "
+                        f"read() (without --stream) tells apart; choose one there with instance={str(name)!r}"
+                    )
             if self.clock is not None and stamps:
                 # Times continue from the last stamps of the previous chunk.
                 joined = tuple(map(np.concatenate, zip(last, stamps, strict=True))) if last else stamps

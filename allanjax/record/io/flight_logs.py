@@ -39,7 +39,7 @@ _BLOCK = 1 << 26
 _LOG_IMU = "set IMU_FAST or IMU_RAW in LOG_BITMASK, and LOG_DISARMED to 1"
 
 
-def open_ulog(path: Path, source: Source, topic: str | None, instance: int | None) -> Table:
+def open_ulog(path: Path, source: Source, topic: str | None, instance: int | str | None) -> Table:
     """Return the samples of the messages with the highest rate, or of those chosen.
 
     Gyros and accelerometers with separate messages are read as one recording.
@@ -184,7 +184,7 @@ _ULOG_GROUPS = (
 ULOG = Format("ULog", b"ULog\x01\x12\x35", open_ulog, (".ulg",), in_chunks=False, choices=CHOICES)
 
 
-def open_dataflash(path: Path, source: Source, topic: str | None, instance: int | None) -> Table:
+def open_dataflash(path: Path, source: Source, topic: str | None, instance: int | str | None) -> Table:
     """Return the samples of IMU, or of GYR and ACC, whichever has the higher rate or is chosen."""
     data = np.memmap(path, np.uint8, "r")
     heads = _heads(data)
@@ -305,7 +305,7 @@ def _chosen(
     found: Mapping[tuple[str, int], Series],
     groups: Sequence[tuple[str, ...]],
     topic: str | None,
-    instance: int | None,
+    instance: int | str | None,
     source: Source,
 ) -> tuple[list[Series], str]:
     """Return the series to read, one or one per sensor (gyros first), and a note on the choice.
@@ -313,7 +313,7 @@ def _chosen(
     `found` are the series by message and number of the sensor, and `groups` are messages that form one
     recording. By default, it is the first instance in the group with the highest rate.
     """
-    kept = {key: series for key, series in found.items() if instance in (None, key[1])}
+    kept = {key: series for key, series in found.items() if str(instance) in ("None", str(key[1]))}
     if not kept:
         numbers = sorted({number for _, number in found})
         raise source.error(f"no instance {instance}; choose {', '.join(map(str, numbers))} with instance=")

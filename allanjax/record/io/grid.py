@@ -25,6 +25,8 @@ from allanjax.record.validation import MIN_SAMPLES, Source, check_length
 _GAP, _ABOUT = 1.5, 8
 # Largest rms jitter of the other intervals, over their mean.
 _MAX_JITTER = 0.2
+# Share of the record from which on a gap is rather left out than filled in.
+_LONG = 0.01
 # If a larger share of the intervals is long, a message does not describe single gaps.
 _MANY_GAPS = 0.05
 # Samples are missing if this share of the long intervals is this near to whole multiples of the usual one.
@@ -372,10 +374,15 @@ class Stamps:
     def _missing(self, lost: int) -> str:
         """Return that samples are missing, and what to do, in words."""
         text, share = f"column {self.label!r}: {self._lack(lost)}", lost / (lost + len(self.seconds))
-        segment = "read the longest part without with gaps='segments'"
+        segment, fill = "read the longest part without with gaps='segments'", "fill them in with gaps='fill'"
         if share > MOST_MISSING:
             return f"{text}; at most {percent(MOST_MISSING)} can be filled in: {segment}"
-        return f"{text}; fill them in with gaps='fill', or {segment}"
+        return f"{text}; {segment}, or {fill}" if self._has_long_gap else f"{text}; {fill}, or {segment}"
+
+    @cached_property
+    def _has_long_gap(self) -> bool:
+        """Whether a single gap is a noticeable part of the record."""
+        return bool(self._intervals.max() > _LONG * (self.seconds[-1] - self.seconds[0]))
 
     def _of_pieces(self, pieces: list[Piece]) -> str:
         """Return the rates of pieces, and how to read the longest, in words."""
@@ -477,7 +484,8 @@ class Stamps:
         if drawn:
             fill = f"fill in the {drawn} missing of {drawn + len(times)} samples with gaps='fill'"
             # Of many gaps the longest part between is short.
-            remedies.insert(0 if 2 * (end - begin) < len(times) else 1, fill)
+            is_short = 2 * (end - begin) < len(times) and not self._has_long_gap
+            remedies.insert(0 if is_short else 1, fill)
         count = "the only gap" if len(gaps) == 1 else f"the first of {len(gaps)} gaps"
         return f"{text}, {count}; {', or '.join(remedies) or 'too few samples remain for a recording'}"
 

@@ -4,6 +4,7 @@ import difflib
 from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
@@ -20,10 +21,12 @@ from allanjax.record.columns import (
     recognise,
     split_unit,
 )
+from allanjax.record.io.absent import unwrapped
 from allanjax.record.io.options import ReadOptions
 from allanjax.record.io.table import Columns, Table, is_numeric
+from allanjax.record.io.times import unevenness
 from allanjax.record.shapes import Cells
-from allanjax.record.units import SENSORS, Sensor, is_unit, unit_scale
+from allanjax.record.units import SENSORS, Sensor, convert, is_unit, unit_scale
 from allanjax.record.validation import check_names
 
 # Entries in a list of columns that skip a column.
@@ -39,7 +42,7 @@ class Layout:
     Attributes:
         columns: columns of the axes.
         axes: these axes, with the units of their samples.
-        clock: columns of the time stamps: none, one, or seconds and nanoseconds.
+        clock: columns of the time stamps: none, one, or whole seconds and parts of them.
         auxiliary: other columns.
         given: sensors whose unit was given, and the factor from their labels' unit to it; 1 without labels.
         notes: assumptions that users should know.
@@ -76,8 +79,8 @@ class Layout:
         _check_is_recording(table, found, columns, clock)
         columns = distinct(columns, table.source)
         _check_all_used(table, columns, clock, first, options)
-        samples = [first[column.index] for column in columns]
-        axes, axis_notes = axes_of(columns, table.units_with(options), table.source, samples)
+        units, samples = table.units_with(options), partial(_samples, columns, first)
+        axes, axis_notes = axes_of(columns, units, table.source, samples)
         used = in_clock | {column.index for column in columns}
         auxiliary = tuple(c for c in found if c.index not in used and _is_channel(c, first[c.index]))
         every = (*notes, *clock_notes, *_notes_on(columns), *axis_notes)
@@ -86,6 +89,14 @@ class Layout:
     def stamps(self, columns: Columns) -> tuple[Cells, ...]:
         """Return the time stamps in these columns of the table."""
         return tuple(columns[column.index] for column in self.clock)
+
+
+def _samples(columns: Sequence[Column], first: Columns) -> Sequence[Cells]:
+    """Return the samples in columns, of which those that have wrapped are shifted back."""
+    samples = [first[column.index] for column in columns]
+    if not all(map(is_numeric, samples)):
+        return samples
+    return [*unwrapped(np.array(samples, float).T, columns)[0].T]
 
 
 def _is_channel(column: Column, values: Cells) -> bool:
@@ -118,7 +129,20 @@ def _found(table: Table, first: Columns, options: ReadOptions) -> tuple[list[Col
         found = _recognised(names)
         notes.append(f"the columns have no names; they are assumed to be {', '.join(names)}")
     found = [_as_time(column, first[column.index], table) for column in found]
-    return _of_one_sensor(found, options, notes), notes
+    return _of_one_sensor(_with_specific_force(found), options, notes), notes
+
+
+def _with_specific_force(found: list[Column]) -> list[Column]:
+    """Return columns f_x, f_y and f_z beside the three axes of a gyro as those of an accelerometer."""
+    force = {c.name.casefold().replace("_", ""): c for c in found if c.role == "auxiliary"}
+    axes = [column.name for column in found if column.role == "axis"]
+    if not {"fx", "fy", "fz"} <= {*force} or sorted(axes) != ["gyro_x", "gyro_y", "gyro_z"]:
+        return found
+    for axis in "xyz":
+        column = force[f"f{axis}"]
+        named = replace(column, role="axis", sensor="accel", name=f"accel_{axis}")
+        found[found.index(column)] = named if column.unit is None else by_unit(column)
+    return found
 
 
 def _of_one_sensor(found: list[Column], options: ReadOptions, notes: list[str]) -> list[Column]:
@@ -246,7 +270,7 @@ def _match(table: Table, name: str, by_position: bool) -> tuple[int, ...]:
 def _clock(
     table: Table, found: Sequence[Column], first: Columns, options: ReadOptions
 ) -> tuple[tuple[Column, ...], list[str]]:
-    """Return the column of time stamps, or those of seconds and nanoseconds, and notes; empty without any."""
+    """Return the column of time stamps, or those of a pair, and notes; empty without any."""
     if options.timeless:
         return (), []
     wanted = options.time_column
@@ -269,14 +293,15 @@ def _clock(
     parts = {column.time_part: column for column in candidates if column.time_part is not None}
     choices: list[tuple[Column, ...]] = [(column,) for column in candidates]
     for (prefix, unit), column in parts.items():
-        if unit == "s" and (prefix, "ns") in parts:
-            choices.append((column, parts[prefix, "ns"]))
+        whole = parts.get((prefix, "s"))
+        if unit != "s" and whole is not None and _are_parts(first[whole.index], first[column.index], unit):
+            choices.append((whole, column))
     if not choices:
         return (), []
 
     def merit(choice: tuple[Column, ...]) -> tuple[int, int, bool]:
         # A pair is one clock; the stamp of a header is the time of sampling, others may be that of arrival.
-        return len(choice), -_unevenness(first[choice[0].index]), "header" in choice[0].label.lower()
+        return len(choice), -unevenness(first[choice[0].index]), "header" in choice[0].label.lower()
 
     best = max(choices, key=merit)
     ignored = [column.label for column in candidates if column not in best]
@@ -285,17 +310,11 @@ def _clock(
     return best, [f"times from {' and '.join(c.label for c in best)}; {', '.join(ignored)} ignored"]
 
 
-def _unevenness(stamps: Cells) -> int:
-    """Return how uneven stamps are: 0 if intervals agree within a fifth, 1 if not, 2 if they never change."""
-    if stamps.dtype.kind == "M":
-        stamps = stamps.astype(np.int64)
-    if not is_numeric(stamps) or len(stamps) < 3:
-        return 0
-    intervals = np.diff((stamps - stamps[0]).astype(float))
-    typical = float(np.median(intervals))
-    if not intervals.any():
-        return 2
-    return int(not typical > 0.0 or np.mean(abs(intervals / typical - 1.0) > 0.2) > 0.1)
+def _are_parts(seconds: Cells, parts: Cells, unit: str) -> bool:
+    """Return whether times are whole seconds, and others, in a unit, always below a second."""
+    if is_numeric(seconds) and (seconds % 1 > 0).any():
+        return False
+    return not is_numeric(parts) or not ((parts < 0) | (parts >= convert(1.0, "s", unit))).any()
 
 
 def _check_is_recording(

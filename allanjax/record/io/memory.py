@@ -10,7 +10,7 @@ from jaxtyping import Float
 from allanjax.base.errors import AllanjaxError, RecordingError
 from allanjax.record.columns import axes_of, default_names, recognise
 from allanjax.record.io.options import ReadOptions
-from allanjax.record.io.table import Table
+from allanjax.record.io.table import Table, spread
 from allanjax.record.validation import Source, as_columns, check_names
 
 
@@ -78,7 +78,7 @@ def columns_of(data: Any) -> dict[str, np.ndarray] | None:
     """Return the columns of a data frame (and its index if that holds times) or a mapping; else None."""
     if isinstance(data, Mapping):
         columns = {str(label): _as_array(column, str(label)) for label, column in data.items()}
-        return columns if all(column.ndim for column in columns.values()) else None
+        return _spread(columns) if all(column.ndim for column in columns.values()) else None
     if not hasattr(data, "columns"):
         return None
     columns = {}
@@ -86,7 +86,19 @@ def columns_of(data: Any) -> dict[str, np.ndarray] | None:
     label = str(index.name or ("time" if index.dtype.kind == "M" else ""))
     if recognise(label).role == "time":
         columns[label] = np.asarray(index)
-    return columns | {str(label): _as_array(data[label], str(label)) for label in data.columns}
+    return columns | _spread({str(label): _as_array(data[label], str(label)) for label in data.columns})
+
+
+def _spread(columns: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """Columns in which those of arrays or lists are columns of their elements."""
+    found: dict[str, np.ndarray] = {}
+    for label, column in columns.items():
+        try:
+            found |= spread(label, column)
+        except (TypeError, ValueError) as error:
+            wrong = "cells are lists of different lengths or no numbers; give a column per axis"
+            raise Source("data frame").error(f"column {label!r}: {wrong}") from error
+    return found
 
 
 def _as_array(values: Any, label: str) -> np.ndarray:

@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from allanjax.record.columns import recognise, with_unit
+from allanjax.record.columns import elements_of, recognise, with_unit
 from allanjax.record.io.cells import (
     TIME,
     VALUE,
@@ -250,7 +250,9 @@ def _labels_of(text: str, before: Sequence[str]) -> list[str | None]:
     unnamed = len(list(itertools.takewhile(says_nothing, reversed(names))))
     if unnamed > 1:
         delimiter = delimiter_of("".join(pieces[-unnamed:-1]))
-        header = next(filter(None, (_names_in(line, delimiter, unnamed) for line in reversed(before))), [])
+        sizes = [len(VALUE.findall(x)) if x[:1] in ("[", "(") else 1 for x in _cells(text, delimiter)]
+        every = (_names_in(line, delimiter, unnamed, sizes) for line in reversed(before))
+        header = next(filter(None, every), [])
         names[len(names) - len(header) :] = header
     return _with_units(names, values)
 
@@ -315,9 +317,24 @@ def _with_units(names: Sequence[str | None], values: Sequence[_Value]) -> list[s
     return labels
 
 
-def _names_in(line: str, delimiter: str | None, count: int) -> list[str]:
-    """Return names of the last numbers of messages from a line before them; an empty list if it has none."""
-    cells = trimmed(split(re.sub(r"\*\w+\s*$", "", without_mark(line)), delimiter))[-count:]
+def _cells(text: str, delimiter: str | None) -> list[str]:
+    """The cells of a message, of which lists in brackets are one each."""
+    if delimiter is None:
+        return split(text, delimiter)
+    lists = r"[\[(][^\[\]()]*[\])]"
+    return split(re.sub(lists, lambda found: found[0].replace(delimiter, " "), text), delimiter)
+
+
+def _names_in(line: str, delimiter: str | None, count: int, sizes: Sequence[int]) -> list[str]:
+    """Return names of the last numbers of messages from a line before them; an empty list if it has none.
+
+    The cells of a message have so many numbers each: those of a list are its elements.
+    """
+    cells = trimmed(split(re.sub(r"\*\w+\s*$", "", without_mark(line)), delimiter))
+    if len(cells) == len(sizes) != sum(sizes) == count:
+        pairs = zip(cells, sizes, strict=True)
+        cells = [name for cell, size in pairs for name in ([cell] if size == 1 else elements_of(cell, size))]
+    cells = cells[-count:] if len(cells) >= count else []
     if cells and cells[0] and recognise(cells[0]).role == "auxiliary":
         cells[0] = cells[0].split()[-1]
     return cells if any(map(is_axis, cells)) else []

@@ -44,7 +44,8 @@ class ReadOptions:
         Topic of a ROS bag or message of a flight log, e.g. /imu/data or sensor_gyro; if gyros and
         accelerometers are in different ones, a,b.
     instance
-        Number of the sensor if a flight log has several; by default the first.
+        Number or name of the sensor if a file has several: of a flight log by default the first; of a
+        table as a column such as sensor_id says.
     gaps
         What to do about missing samples: error (default); segments, fit the segments between gaps
         jointly; fill, replace them by simulated samples.
@@ -62,7 +63,7 @@ class ReadOptions:
     start: float | None = None
     stop: float | None = None
     topic: str | None = None
-    instance: int | None = None
+    instance: int | str | None = None
     gaps: GapChoice | None = None
     force: bool = False
 

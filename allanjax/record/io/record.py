@@ -1,10 +1,11 @@
 """Record: the rows of a table that are samples, at their times, without those that are none."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
+from jaxtyping import Int
 
 from allanjax.base.errors import MixedRatesError
 from allanjax.record.columns import Column, axes_by_sensor, with_unit
@@ -14,7 +15,7 @@ from allanjax.record.io.grid import Stamps, after_gaps
 from allanjax.record.io.layout import Layout
 from allanjax.record.io.options import ReadOptions
 from allanjax.record.io.table import Columns, Table, as_float, is_numeric
-from allanjax.record.io.times import MAX_RATE_DIFFERENCE, Clock
+from allanjax.record.io.times import MAX_RATE_DIFFERENCE, Clock, sorted_by
 from allanjax.record.shapes import Channel, Chosen, Seconds, Values, Which
 from allanjax.record.validation import MIN_SAMPLES, Source, check_length, check_rate
 
@@ -90,6 +91,10 @@ class Record:
         """
         rate, rate_notes = stated_rate(table, layout, options.rate)
         times = Times.of(table, layout, columns, rate, options)
+        order = None if options.uniform else sorted_by(times.seconds)
+        if order is not None:
+            columns, times = tuple(column[order] for column in columns), times.sorted(order)
+            table = replace(table, source=table.source.at(order))
         part, part_notes = _part(table, layout, columns, times.seconds, options)
         notes = [*rate_notes, *times.notes, *part_notes]
         part, absent_notes = _without_absent(part, layout)
@@ -156,6 +161,12 @@ class Times(NamedTuple):
         seconds, notes = clock.seconds(stamps, table.source)
         return cls(seconds, clock, clock.step(stamps), clock.begun(stamps), (*clock.notes, *notes))
 
+    def sorted(self, order: Int[np.ndarray, " n"]) -> "Times":
+        """Return the times in this order."""
+        seconds, moved = self.seconds[order], np.count_nonzero(order != np.arange(len(order)))
+        note = f"{moved:,} rows that are out of order are sorted by their times"
+        return self._replace(seconds=seconds - seconds[0], notes=(*self.notes, note))
+
     def of_rows(self, rows: Rows) -> Stamps | None:
         """Return the stamps of some rows; None without a clock."""
         if self.clock is None:
@@ -215,7 +226,9 @@ def _own(part: Rows, layout: Layout, options: ReadOptions) -> tuple[Rows, list[s
         notes.append(f"{np.count_nonzero(~kept)} packets that were recorded twice are left out")
     own = own_rows(part.taken(kept), layout.columns)
     if not own.all():
-        notes.append(f"{np.count_nonzero(~own)} rows that repeat the previous values are left out")
+        notes.append(
+            f"{np.count_nonzero(~own)} rows that repeat the previous values, or have none, are left out"
+        )
     kept[kept] = own
     return part if kept.all() else part.taken(kept), notes
 
@@ -224,7 +237,7 @@ def own_rows(part: Rows, columns: Sequence[Column]) -> Chosen:
     """Return the rows of a table in which its sensors were sampled.
 
     If several sensors share a table, a row repeats the previous values of those that were not sampled then,
-    or marks them as absent.
+    leaves their cells empty, or marks them as absent.
 
     Raises:
         MixedRatesError: the sensors have different rates.
@@ -233,8 +246,10 @@ def own_rows(part: Rows, columns: Sequence[Column]) -> Chosen:
     fresh = {}
     for sensor, of_sensor in axes_by_sensor(columns).items():
         own = values[:, of_sensor]
-        changed = np.concatenate([[False], (own[1:] != own[:-1]).any(axis=1)])
-        fresh[sensor] = changed & ~part.absent[:, of_sensor].all(axis=1)
+        empty = np.isnan(own).all(axis=1)
+        # The first row repeats none, but may be one of those that would.
+        changed = np.concatenate([[empty.any()], (own[1:] != own[:-1]).any(axis=1)])
+        fresh[sensor] = changed & ~empty & ~part.absent[:, of_sensor].all(axis=1)
     # A sensor that does not change is dead.
     living = [rows for rows in fresh.values() if rows.mean() > _LEAST_FRESH]
     in_turn = len(living) == 2 and np.mean(living[0] ^ living[1]) > _REGULAR

@@ -62,7 +62,7 @@ class Series:
                 columns |= {f"{sensor}_{axis}": half[:, k] for k, axis in enumerate("xyz")}
         columns |= self.auxiliary
         table = Table.of(tuple(columns.values()), tuple(columns), source, notes=tuple(notes))
-        return replace(table, units=UNITS)
+        return replace(table, units=UNITS, is_apart=True)
 
 
 def seconds_between(stamps: Int[np.ndarray, " n"]) -> Float[np.ndarray, " intervals"]:

@@ -13,6 +13,7 @@ import numpy as np
 from jaxtyping import Float, Shaped
 
 from allanjax.base.errors import AllanjaxError
+from allanjax.record.columns import elements_of
 from allanjax.record.io.options import ReadOptions
 from allanjax.record.shapes import Cells
 from allanjax.record.units import SENSORS, Sensor
@@ -42,6 +43,7 @@ class Table:
         units: unit of each sensor as the format defines it, for use without a unit in labels or options.
         auxiliary: labels of columns that are no axes, whatever their names.
         complete: whether all axes were named by the caller, so that no unit is meant for an unknown column.
+        is_apart: whether the format keeps sensors apart, so that no column names the sensors of rows.
     """
 
     rows: Callable[[int], Iterator[Columns]]
@@ -53,6 +55,7 @@ class Table:
     units: Mapping[Sensor, str] = field(default_factory=dict)
     auxiliary: frozenset[str] = frozenset()
     complete: bool = False
+    is_apart: bool = False
 
     @classmethod
     def of(
@@ -111,8 +114,10 @@ class Format:
 
     def table(self, path: Path, source: Source, options: ReadOptions) -> Table:
         """Return the table of a file of this kind."""
-        for name in CHOICES:
-            if name not in self.choices and getattr(options, name) is not None:
+        # Rows of a table may be of several sensors.
+        refused = [name for name in CHOICES if name not in self.choices and (self.choices or name == "topic")]
+        for name in refused:
+            if getattr(options, name) is not None:
                 raise source.error(f"a file of this kind ({self.name}) has no {name}s; omit {name}=")
         return self.open(path, source, **{name: getattr(options, name) for name in self.choices})
 
@@ -139,6 +144,21 @@ def damage_reported(source: Source, kind: str, remedy: str) -> Iterator[None]:
     except Exception as error:
         reason = " ".join(str(error).split())[:200].rstrip(".") or type(error).__name__
         raise source.error(f"cannot be read as {kind}: {reason}; {remedy}") from error
+
+
+def spread(label: str, values: Cells) -> dict[str, Cells]:
+    """Return the columns of an array [rows, elements] or of cells that are lists; another column as it is.
+
+    Raises:
+        ValueError: the lists differ in length, or hold other values than numbers.
+    """
+    first = next((cell for cell in values if cell is not None), None) if values.dtype.kind == "O" else None
+    if isinstance(first, list | tuple | np.ndarray):
+        missing = [np.nan] * len(first)
+        values = np.array([missing if cell is None else cell for cell in values], float)
+    if values.ndim != 2:
+        return {label: values}
+    return dict(zip(elements_of(label, values.shape[1]), values.T, strict=True))
 
 
 def is_numeric(values: Cells) -> bool:

@@ -7,7 +7,9 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
+from jaxtyping import Int
 
+from allanjax.base.wording import plain
 from allanjax.record.columns import Column
 from allanjax.record.io.cells import is_number
 from allanjax.record.io.table import as_float, is_numeric
@@ -16,7 +18,7 @@ from allanjax.record.units import convert, is_unit, same_unit
 from allanjax.record.validation import Source
 
 Stamps = Sequence[Cells]
-#: What stamps are: numbers in a unit, seconds and nanoseconds, dates, or times of the day.
+#: What stamps are: numbers in a unit, whole seconds and parts of them, dates, or times of the day.
 Kind = Literal["numbers", "pair", "dates", "clock"]
 
 #: Remedy where stamps are of no use.
@@ -27,6 +29,10 @@ MAX_RATE_DIFFERENCE = 0.01
 # in units, or thousandths and millionths of them. The most samples that may be lost at a restart.
 _TURNS = (2**8, 2**16, 2**24, 2**32, 60, 1000, 3600, 10**6, 86_400, 86_400_000, 604_800, 604_800_000)
 _PARTS, _LOST_AT_TURN = (1, 1e-3, 1e-6), 100
+# A counter goes on below this part of its range, another clock was set.
+_RESTART = 0.25
+# Rows are sorted if they are at most so many places off, and their intervals then by this part of one.
+_PLACES, _OFF = 100, 0.1
 _HOUR, _DAY = 3600.0, 86_400.0
 # Possible units of stamps without a unit.
 _UNITS = ("s", "ms", "us", "ns")
@@ -47,7 +53,7 @@ class Clock:
     Attributes:
         columns: columns of the stamps.
         kind: what the stamps are.
-        unit: unit of numbers, "" for others.
+        unit: unit of numbers, or of the parts of seconds, "" for others.
         format: format of dates that are text, as for `datetime.strptime`.
         local: whether dates have no zone, so that they are set when summer time begins or ends.
         notes: assumptions that users should know.
@@ -82,7 +88,8 @@ class Clock:
             RecordingError, UnitError: the unit is unknown, or no stamp is a time.
         """
         if len(columns) == 2:
-            return cls(columns, "pair")
+            assert columns[1].time_part
+            return cls(columns, "pair", columns[1].time_part[1])
         values = first[0]
         if values.dtype.kind == "M":
             return cls(columns, "dates")
@@ -107,9 +114,10 @@ class Clock:
             RecordingError: a stamp is missing, or is no time.
         """
         if self.kind == "pair":
-            pairs = zip(self.columns, stamps, strict=True)
-            whole, parts = (_since_first(values, column.label, source) for column, values in pairs)
-            return whole + 1e-9 * parts, ()
+            whole = _since_first(stamps[0], self.columns[0].label, source)
+            # Parts begin again with each second, whatever a counter does.
+            parts = _differences(stamps[1], self.columns[1].label, source)
+            return whole + convert(parts.astype(float), self.unit, "s"), ()
         values = stamps[0]
         if self.kind == "dates":
             dates = self._dates(values, source)
@@ -119,11 +127,14 @@ class Clock:
             return _over_midnight(self._of_day(values, source), self.label)
         counts = _since_first(values, self.label, source)
         notes: tuple[str, ...] = ()
-        back = int(np.count_nonzero(values[1:] < values[:-1]))
-        if back and (np.diff(counts) > 0).all():
-            again = f"{back} times" if back > 1 else "once"
-            how = f"starts again {again}, like a counter that overflows; it is continued"
-            notes = (f"column {self.label!r} {how}",)
+        back = np.flatnonzero(values[1:] < values[:-1])
+        if len(back) and (np.diff(counts) > 0).all():
+            again = f"{len(back)} times" if len(back) > 1 else "once"
+            how = f"starts again {again}, like a counter that overflows"
+            turn = float(counts[back[0] + 1] - counts[back[0]]) + float(values[back[0]] - values[back[0] + 1])
+            if (values[back + 1] > _RESTART * turn).any():
+                how = f"is set back {again}, by {plain(convert(turn, self.unit, 's'))} s"
+            notes = (f"column {self.label!r} {how}; it is continued",)
         return convert(counts, self.unit, "s"), notes
 
     def begun(self, stamps: Stamps) -> float | None:
@@ -143,7 +154,7 @@ class Clock:
     def step(self, stamps: Stamps) -> float:
         """Return the resolution of the stamps [s]: all are multiples of it; 0 if none is known."""
         if self.kind == "pair":
-            return 1e-9
+            return convert(1.0, self.unit, "s")
         values = stamps[0][:_LOOKED_AT]
         if self.kind == "dates":
             return 1e-9 * _common_step(self._dates(values, Source(self.label)).astype(np.int64))
@@ -192,6 +203,19 @@ def is_missing(cell: object) -> bool:
     return cell is None or bool(cell != cell)
 
 
+def unevenness(stamps: Cells) -> int:
+    """Return how uneven stamps are: 0 if intervals agree within a fifth, 1 if not, 2 if they never change."""
+    if stamps.dtype.kind == "M":
+        stamps = stamps.astype(np.int64)
+    if not is_numeric(stamps) or len(stamps) < 3:
+        return 0
+    intervals = np.diff((stamps - stamps[0]).astype(float))
+    typical = float(np.median(intervals))
+    if not intervals.any():
+        return 2
+    return int(not typical > 0.0 or np.mean(abs(intervals / typical - 1.0) > 0.2) > 0.1)
+
+
 def _date_format(text: str) -> str:
     """Return the format of a date, "ISO8601" for most; "" for a text that is no date."""
     if not re.search(r"\d{2,4}[-/. ]|\d{8}T", text):
@@ -211,12 +235,17 @@ def _date_format(text: str) -> str:
 
 
 def _since_first(values: Cells, label: str, source: Source) -> Seconds:
+    """Return the continued stamps minus the first."""
+    return _unwrapped(_differences(values, label, source)).astype(float)
+
+
+def _differences(values: Cells, label: str, source: Source) -> Cells:
     """Return stamps minus the first: 19-digit integers lose digits as floats, their differences do not."""
     if is_numeric(values) and values.dtype.kind in "iu":
-        return _unwrapped((values - values[0]).astype(np.int64)).astype(float)
+        return (values - values[0]).astype(np.int64)
     numbers = as_float(values, label, source)
     _check(~np.isfinite(numbers), values, label, source)
-    return _unwrapped(numbers - numbers[0])
+    return numbers - numbers[0]
 
 
 def _unwrapped(counts: Cells) -> Cells:
@@ -233,6 +262,20 @@ def _unwrapped(counts: Cells) -> Cells:
             if np.ptp(counts) < turn and (step > 0.5 * typical - 1.0 * part).all() and (step < most).all():
                 return counts + turn * np.concatenate([[0], np.cumsum(back)])
     return counts
+
+
+def sorted_by(times: Seconds) -> Int[np.ndarray, " n"] | None:
+    """Return the order of rows that came in another one than their times; None if they are in order.
+
+    Sorted times are an interval apart, or several; rows are a few places off, as packets of a network are.
+    """
+    if not (np.diff(times) < 0.0).any():
+        return None
+    order = np.argsort(times, kind="stable")
+    intervals = np.diff(times[order])
+    steps = intervals / np.median(intervals)
+    is_even = (abs(steps - np.rint(steps)) < _OFF).all() and (steps > 0.5).all()
+    return order if is_even and abs(order - np.arange(len(order))).max() <= _PLACES else None
 
 
 def _over_midnight(of_day: Seconds, label: str) -> tuple[Seconds, tuple[str, ...]]:
