@@ -53,6 +53,11 @@ def clauses(*parts: str) -> str:
     return "; ".join(filter(None, parts))
 
 
+def counted(n: int, noun: str) -> str:
+    """Number and noun, e.g. "1 line" or "5,300 lines"."""
+    return f"{n:,} {noun}" if n == 1 else f"{n:,} {noun}s"
+
+
 def format_with_error(value: float, std: float) -> str:
     """Value and standard deviation, e.g. "0.5121 ± 0.0068" or "(1.680 ± 0.013)×10⁻⁵".
 

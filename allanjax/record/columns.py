@@ -22,6 +22,7 @@ from allanjax.record.units import (
     SENSORS,
     SI,
     Sensor,
+    is_unit,
     parse_sample_unit,
     same_unit,
     unit_scale,
@@ -44,8 +45,19 @@ _INCREMENTS: dict[Sensor, str] = {
     "gyro": r"delta_?(?:angle|theta)|d_?theta|d_?ang(?:le)?",
     "accel": r"delta_?v(?:el(?:ocity)?)?|d_?v(?:el(?:ocity)?)?",
 }
-# A letter is a sensor only alone before the axis: `gx`, not `mag_x`; or with EuRoC's frames, `w_RS_S_x`.
-_LETTERS: dict[Sensor, str] = {"gyro": "(?:g|w(?:_rs_s)?)", "accel": "(?:a(?:_rs_s)?|g_f)"}
+# A letter is a sensor only alone before the axis: `gx`, not `mag_x`; or with EuRoC's frames, `w_RS_S_x`; or
+# after the name of a unit, `imu0_gx`. Arduino's examples write `GyX` and `AcX`.
+_LETTERS: dict[Sensor, str] = {
+    "gyro": r"(?:imu_?\d*_)?(?:gy?|w(?:_rs_s)?)",
+    "accel": r"(?:imu_?\d*_)?(?:ac?(?:_rs_s)?|g_f)",
+}
+# Words for x, y and z in names of columns that are axes by their units.
+_DIRECTIONS = (
+    (r"[a-z]?x(?:_|$)", r"[a-z]?y(?:_|$)", r"[a-z]?z(?:_|$)"),
+    ("roll", "pitch", "yaw"),
+    ("lon", "lat", "vert"),
+    (r"p(?:_|$)", r"q(?:_|$)", r"r(?:_|$)"),
+)
 # Words for quantities about a sensor that are not samples; and accuracies, such as `hAcc`.
 _NOT_A_SAMPLE = re.compile(
     r"(?:^|_)(?:bias|offset|scale|sigma|std|var|variance|cov|covariance|noise|accuracy|range|temp|temperature"
@@ -82,7 +94,8 @@ _CLOCKS |= {"ms": "ms", "us": "us", "ns": "ns"}
 # Words of names that may be those of times, if the values increase.
 _MAYBE_TIME = re.compile(
     r"(?:^|_)(?:t|time|stamp|clock|epoch|unix|tow|sow|sod|elapsed|uptime|ticks?|millis|micros|nanos|seconds"
-    r"|ms|us|ns)(?:_|$)"
+    r"|ms|us|ns|uhrzeit|zeit|zeitstempel|zeitpunkt|datum|temps|heure|horodatage|tiempo|hora|fecha|tempo|ora)"
+    r"(?:_|$)"
 )
 # Names of the cluster times of Allan curves, which are no recordings.
 _CLUSTER_TIME = re.compile(r"taus?|(?:cluster|averaging|correlation)_time")
@@ -131,8 +144,11 @@ def recognise(label: str) -> Column:
         axis = match and _axis(label, match[1] + match[2], suffix_unit)
         if axis:
             return axis
-    axis = _axis(label, words, unit)
-    return axis or _time(label, stem, words, unit) or Column(label, "auxiliary", stem, unit=unit)
+    known = _axis(label, words, unit) or _time(label, stem, words, unit)
+    if known is None and unit is None:
+        match = re.fullmatch(rf"(.+)_(?:{_UNIT_SUFFIXES['deg/s']}|({_UNIT_SUFFIXES['rad/s']}))", words)
+        unit = ("rad/s" if match[2] else "deg/s") if match else None
+    return known or Column(label, "auxiliary", stem, unit=unit)
 
 
 def by_unit(column: Column) -> Column:
@@ -146,6 +162,33 @@ def by_unit(column: Column) -> Column:
     return column
 
 
+def in_directions(columns: Sequence[Column]) -> list[Column]:
+    """Return columns of axes; three of a sensor are x, y and z if their own names tell which is which."""
+    found = list(columns)
+    for sensor in SENSORS:
+        own = [column for column in columns if column.sensor == sensor]
+        for words in _DIRECTIONS if len(own) == len("xyz") else ():
+            axes = [_direction(column.name, words) for column in own]
+            if sorted(axes) == [*"xyz"]:
+                for column, axis in zip(own, axes, strict=True):
+                    found[found.index(column)] = replace(column, name=f"{sensor}_{axis}")
+                break
+    return found
+
+
+def triads(columns: Sequence[Column]) -> list[Sequence[Column]]:
+    """Return each three neighbours whose names tell x, y and z in this order."""
+    threes = [columns[k : k + 3] for k in range(len(columns) - 2)]
+    told = [[[_direction(c.name, words) for c in three] for words in _DIRECTIONS] for three in threes]
+    return [three for three, axes in zip(threes, told, strict=True) if [*"xyz"] in axes]
+
+
+def _direction(name: str, words: Sequence[str]) -> str:
+    """The axes, of x, y and z, that words in a name tell."""
+    told = (re.search(rf"(?:^|_){word}", _words(name)) for word in words)
+    return "".join(axis for axis, match in zip("xyz", told, strict=True) if match)
+
+
 def may_be_time(column: Column) -> Column | None:
     """Return an auxiliary column as one of times if its name allows that, with the unit in its name."""
     words = _words(column.name)
@@ -155,11 +198,15 @@ def may_be_time(column: Column) -> Column | None:
 
 
 def split_unit(label: str) -> tuple[str, str | None]:
-    """Split `gyro_x [deg/s]` or `gyro_x (deg/s)` into (`gyro_x`, `deg/s`); without a unit, (label, None)."""
+    """Split `gyro_x [deg/s]` or `gyro_x (deg/s)` into (`gyro_x`, `deg/s`); without a unit, (label, None).
+
+    `gyro_x in deg/s` and `gyro_x, deg/s` are split, too.
+    """
     label = label.strip()
     match = re.fullmatch(r"(.+?)\s*(?:\[([^\[\]]*)\]|\((.*)\))", label)
     if match is None:
-        return label, None
+        plain = re.fullmatch(r"(.+?)(?:,| in) +(\S+)", label)
+        return (plain[1], plain[2]) if plain and is_unit(plain[2]) else (label, None)
     unit = (match[2] or match[3] or "").strip()
     # `covariance[0]` is an element of an array.
     return (label, None) if not unit or unit.isdigit() else (match[1].strip(), unit)
@@ -189,9 +236,10 @@ def _axis(label: str, words: str, unit: str | None) -> Column | None:
     for sensor, alias in _ALIASES.items():
         for names, increment in ((alias, False), (_INCREMENTS[sensor], True)):
             match = (
-                re.fullmatch(rf"(?:.*_)?(?:{names})(?:_?([xyz\d]))?", words)
+                re.fullmatch(rf"(?:.*_)?(?:{names})_?([xyz\d])", words)
                 or re.fullmatch(rf"(?:.*_)?(?:{names})(?:\d+|_\w+)_?([xyz])", words)
                 or re.fullmatch(rf"(?:.*_)?([xyz])_?(?:{names})", words)
+                or re.fullmatch(rf"(?:.*_)?(?:{names})()", words)
                 or (None if increment else re.fullmatch(rf"{_LETTERS[sensor]}_?([xyz])", words))
             )
             if match is not None:
@@ -442,8 +490,14 @@ def default_names(
     raise source.error(
         f"{count} columns without names and {stated} given: the columns cannot be identified{seen}; "
         "name them with columns= (--columns; names= of an array), one entry per column, - skips one, e.g. "
-        f"{','.join(EXAMPLE[-count:] if count < 7 else EXAMPLE + ('-',) * (count - 7))}"
+        f"{','.join(_examples(count))}"
     )
+
+
+def _examples(count: int) -> tuple[str, ...]:
+    """Return likely names of so many columns: times are the first, and sensors have three axes."""
+    first = EXAMPLE[: min(count // 3 * 3, 6) + 1] if count % 3 == 1 or count > 6 else EXAMPLE[1:]
+    return (first + ("-",) * count)[:count]
 
 
 def distinct(columns: Sequence[Column], source: Source) -> tuple[Column, ...]:

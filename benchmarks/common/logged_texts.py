@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import re
 from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import Any
@@ -173,6 +174,31 @@ def spreadsheet(d: Draw) -> Log:
     if d.chance(0.3):
         lines = [mark.join(f'"{cell}"' for cell in line.split(mark)) for line in lines]
     return d.log("spreadsheet", joined(lines, "\r\n").encode("utf-8" if d.chance() else "utf-8-sig"))
+
+
+@layout
+def decimal_commas_beside_text(d: Draw) -> Log:
+    """A date, a time of the day or a number in a first column, a word in a last one, semicolons or quotes."""
+    name, first = d.pick(
+        ("Datum", lambda k: f"01.05.2024 {d.clock(k)}"),
+        ("Zeitstempel", lambda k: f"2024-05-01 {d.clock(k)}"),
+        ("Uhrzeit", d.clock),
+        ("Temps [s]", lambda k: f"{d.time[k]:.6f}"),
+        ("tiempo", lambda k: f"{d.time[k]:.6f}"),
+    )
+    mark, word = d.pick((";", []), (";", ["OK"]), ("\t", ["gültig"]), ("\t", []), (",", []))
+    units = [*[d.gyro] * 3, *[d.accel] * 3]
+    head = [
+        name,
+        *labelled(d.names(), units, d.pick("{} [{}]", "{} ({})", "{} in {}")),
+        *(["Status"] if word else []),
+    ]
+    rows = [[first(k), *map(number, row)] for k, row in enumerate(d.values)]
+    rows = [[re.sub(r"\.(?=\d+$)", ",", cell) for cell in row] + word for row in rows]
+    quote = '"' if mark == "," or d.chance(0.2) else ""
+    lines = [mark.join(quote + cell + quote for cell in line) for line in [head, *rows]]
+    d.known["time_unit"] = "s"
+    return d.log("decimal commas beside text", joined(lines, d.pick("\n", "\r\n")).encode("utf-8"))
 
 
 def prefixes(d: Draw) -> Callable[[int], str]:

@@ -517,7 +517,7 @@ def test_a_damaged_message_is_a_missing_sample(tmp_path):
     refused(path, "0.02 s|line 22", **UNITS)
     recording = aj.read(path, gaps="fill", **UNITS)
     kept = np.arange(N) != 20
-    assert noted(recording, "1 lines", "line 21", "t=0.2 ")
+    assert noted(recording, "left out: 1 line without", "line 21", "t=0.2 ")
     np.testing.assert_allclose(recording.own_values[kept], NOISE[kept], rtol=1e-14)
     path.write_text(
         "\n".join(["# gx,gy,gz,ax,ay,az", *summed[:20], summed[20].replace("0.", "1.", 1), *summed[21:], ""])
@@ -558,7 +558,9 @@ def test_too_many_other_lines_are_described_with_a_command(tmp_path):
     path.write_text("\n".join([",".join(HEADER), *torn, ""]))
     refused(path, "12 of 50 lines are no rows of 6 numbers|line 2, |awk -F',' 'NF==6'", rate=RATE)
     path.write_text("\n".join(["can0 123#DEADBEEF", *30 * ["can0 124#CAFEBABE"], ""]))
-    refused(path, "31 lines|line 16 is 'can0 124#CAFEBABE'|time [s],gyro_x [deg/s]", rate=RATE)
+    refused(path, "31 lines|line 16 is 'can0 124#CAFEBABE'|CAN bus|DBC", rate=RATE)
+    path.write_text("\n".join(["nothing here", *30 * ["or there"], ""]))
+    refused(path, "31 lines|line 16 is 'or there'|time [s],gyro_x [deg/s]", rate=RATE)
 
 
 def test_a_compressed_file_that_is_cut_off_is_read_up_to_there(tmp_path):

@@ -8,14 +8,15 @@ import warnings
 import zipfile
 import zlib
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from allanjax.record.columns import elements_of, split_unit, with_unit
+from allanjax.base.errors import UnitError
+from allanjax.record.columns import elements_of, recognise, split_unit, with_unit
 from allanjax.record.io.table import (
     Columns,
     Format,
@@ -25,11 +26,14 @@ from allanjax.record.io.table import (
     optional_package,
     spread,
 )
+from allanjax.record.units import Sensor, is_unit, parse_sample_unit
 from allanjax.record.validation import Source
 
 # Names of scalars that state the sample rate, or the sample interval.
 _RATES = re.compile(r"(?:sample_?|sampling_?)?(?:rate|freq|frequency)|fs|f_s", re.IGNORECASE)
 _INTERVALS = re.compile(r"dt|(?:sample|sampling)_?(?:interval|period|time)", re.IGNORECASE)
+# Names of texts that state the unit of a sensor.
+_UNIT = re.compile(r"(?:.*\.)?(?:units?[._](\w+)|(\w+?)_?units?)", re.IGNORECASE)
 # Largest number of rows for which a much wider matrix counts as transposed.
 _FEW_AXES = 12
 # Remedy in messages: other formats for the data.
@@ -150,7 +154,10 @@ def from_named(arrays: Mapping[str, np.ndarray], source: Source) -> Table:
     notes: list[str] = []
     columns: dict[str, np.ndarray] = {}
     matrices = 0
+    units, unit_notes = stated_units(arrays)
     for name, array in arrays.items():
+        if _UNIT.fullmatch(name) and unit_notes:
+            continue
         if array.dtype.kind not in "fiubM":
             notes.append(f"{name!r} skipped as it is not numeric")
         elif array.size == 1:
@@ -175,7 +182,21 @@ def from_named(arrays: Mapping[str, np.ndarray], source: Source) -> Table:
         matrices == 1 and len(arrays) - (rate is not None) == 1 and not next(iter(columns)).endswith("_x")
     )
     named = None if unnamed else tuple(columns)
-    return Table.of(tuple(columns.values()), named, source, rate, tuple(notes))
+    return replace(Table.of(tuple(columns.values()), named, source, rate, (*notes, *unit_notes)), units=units)
+
+
+def stated_units(values: Mapping[str, Any]) -> tuple[dict[Sensor, str], tuple[str, ...]]:
+    """Return the units of sensors that texts called `gyro_unit`, `units.accel` or alike state, and notes."""
+    units: dict[Sensor, str] = {}
+    notes = []
+    for name, value in values.items():
+        match = _UNIT.fullmatch(name)
+        sensor = recognise(match[1] or match[2]).sensor if match else None
+        if sensor is not None:
+            with suppress(UnitError):
+                units[sensor] = parse_sample_unit(str(value), sensor).name
+                notes.append(f"unit {units[sensor]} from {name!r}")
+    return units, tuple(notes)
 
 
 def _columns_of(array: np.ndarray, name: str, source: Source) -> Columns:
@@ -233,7 +254,10 @@ def _datasets(file: Any) -> Mapping[str, Any]:
             return
         if item.attrs.get("MATLAB_class") != b"char" and "MATLAB_empty" not in item.attrs:
             # A slash in a unit does not separate groups.
-            found[re.sub(r"/(?![^\[]*\])", ".", name)] = item
+            named = re.sub(r"/(?![^\[]*\])", ".", name)
+            stated = (item.attrs.get(key) for key in ("units", "unit"))
+            unit = next((x for x in stated if isinstance(x, str) and is_unit(x)), None)
+            found[with_unit(named, unit)] = item
 
     file.visititems(visit)
     return found

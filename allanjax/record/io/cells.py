@@ -12,9 +12,14 @@ _DATE = r"\d{1,4}(?:-\d\d?-|/\d\d?/|\.\d\d?\.)\d{1,4}"
 _CLOCK = r"\d\d?:\d\d:\d\d(?:[.,]\d+)?"
 TIME = rf"(?<![\w.])(?:{_DATE}(?:[T ]{_CLOCK}(?:Z|[+-]\d\d:?\d\d)?)?|{_CLOCK})"
 _NUMBER = rf"(?<![\w.^])(?<![A-Za-z^]-){NUMBER}(?![\dx])|\b(?:nan|null|none|inf(?:inity)?)\b"
+# A date with its offset after a blank, which between blanks might be a number.
+_WITH_ZONE = re.compile(rf"{TIME} [+-]\d\d:?\d\d")
 VALUE = re.compile(rf"(?i:{TIME}|\b(?=\d*[a-f])[\da-f]{{8}}\b|{_NUMBER})")
 # A number beside anything but a delimiter: `x=0.1`, `[0.1`, `0.1 deg/s`; or a name before one.
 _DECORATED = re.compile(r".*[\[({<=>|]\s*[-+]?\.?\d|:\s*[-+.\d]|[-+]?\.?\d.*[^\w.]|.*\d[.:]\d|\D*[:=]$")
+# Numbers with a decimal comma, and numbers whose commas separate thousands.
+_COMMA = re.compile(r"[+-]?\d+,\d+(?:[eE][+-]?\d+)?")
+_THOUSANDS = re.compile(r"[+-]?[1-9]\d{0,2}(?:,\d{3})+(?:\.\d*)?")
 # Marks at the start of comments.
 _COMMENT = ("#", "%", "//")
 _BEFORE_NAMES = re.compile(r"^\s*(?:[#/;!*>]+|%+\s|--+|REM\s)\s*")
@@ -33,6 +38,35 @@ def without_mark(text: str) -> str:
 def delimiter_of(text: str) -> str | None:
     """Return the delimiter of a line; None for white space."""
     return next((mark for mark in "\t;,|" if mark in text), None)
+
+
+def delimiter_beside_commas(text: str) -> str | None:
+    """Return the delimiter of a line of numbers with decimal commas, which are in quotes if it is a comma."""
+    return next((mark for mark in "\t;" if mark in text), "," if '"' in text else None)
+
+
+def has_decimal_commas(text: str) -> bool:
+    """Whether a line has numbers with decimal commas; between blanks, all cells are numbers or times."""
+    delimiter = delimiter_beside_commas(text)
+    cells = split(text, delimiter) if "," in text else []
+    numbers = [cell for cell in cells if _COMMA.fullmatch(cell)]
+    if not numbers or any("." in cell and is_number(cell) for cell in cells):
+        return False
+    if delimiter is None:
+        return len(cells) > 1 and all(cell in numbers or VALUE.fullmatch(cell) for cell in cells)
+    return delimiter != "," or not all(map(_THOUSANDS.fullmatch, numbers))
+
+
+def with_points(cells: list[str]) -> list[str]:
+    """Return cells of which numbers have a decimal point in place of a comma."""
+    return [cell.replace(",", ".") if _COMMA.fullmatch(cell) else cell for cell in cells]
+
+
+def without_groups(cells: list[str], delimiter: str | None) -> list[str]:
+    """Return cells between commas, of which numbers in quotes have lost the commas between thousands."""
+    if delimiter != ",":
+        return cells
+    return [cell.replace(",", "") if _THOUSANDS.fullmatch(cell) else cell for cell in cells]
 
 
 def split(text: str, delimiter: str | None) -> list[str]:
@@ -71,7 +105,7 @@ def is_unit_name(text: str) -> bool:
 
 def is_decorated(cell: str, delimiter: str | None) -> bool:
     """Whether a cell is a number and something else, or, between blanks, a mark such as ->."""
-    if is_number(cell) or VALUE.fullmatch(cell):
+    if is_number(cell) or VALUE.fullmatch(cell) or _WITH_ZONE.fullmatch(cell):
         return False
     is_mark = delimiter is None and not any(map(str.isalnum, cell))
     return is_mark or _DECORATED.match(cell) is not None

@@ -3,17 +3,24 @@
 import functools
 import itertools
 import re
+import shlex
 import tomllib
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from importlib.resources import files
+from pathlib import Path
 from typing import Any, NamedTuple
 
+from allanjax.base.errors import UnitError
+from allanjax.base.wording import counted
 from allanjax.record.columns import recognise, split_unit, with_unit
 from allanjax.record.io.cells import (
+    delimiter_beside_commas,
     delimiter_of,
     fits,
+    has_decimal_commas,
     is_axis,
     is_comment,
     is_decorated,
@@ -21,10 +28,13 @@ from allanjax.record.io.cells import (
     is_unit_name,
     split,
     trimmed,
+    with_points,
+    without_groups,
     without_mark,
 )
+from allanjax.record.io.kinds import LONG
 from allanjax.record.io.messages import Message, Numbered, messages_in, records_of
-from allanjax.record.units import SENSORS, Sensor
+from allanjax.record.units import SENSORS, Sensor, parse_sample_unit
 from allanjax.record.validation import Source
 
 #: So many lines at the start of a file show its grammar.
@@ -36,6 +46,26 @@ _RATE = re.compile(
     r"(\d+(?:\.\d+)?)\s*(k?)(?:hz|sps)?\W*$",
     re.IGNORECASE,
 )
+# Lines that are no rows of numbers before they are converted, and how.
+_RAW = {
+    r"^\s*(?:\(\d+\.\d+\)\s+)?\w*can\d+\s+[\dA-Fa-f]{3,8}(?:#|\s+\[\d+\])": (
+        "these are raw frames of a CAN bus; decode them with the description of the bus (a DBC file), e.g. "
+        "with cantools or SavvyCAN, into a table with a column per signal"
+    ),
+    r"^\W*(?:0[xX][\dA-Fa-f]+\W*){3,}$": (
+        "its numbers are hexadecimal; convert them to decimal ones, those of four digits with their sign, by "
+        "perl -pe 's/0x([0-9a-f]+)/hex($1)-(length($1)==4&&hex($1)>32767?65536:0)/gei' {path} > decimal.txt"
+    ),
+}
+_INTERVAL = re.compile(r"Delta_X\t([\d.]+(?:[eE][+-]?\d+)?)\s")
+# What states the unit of a sensor in a comment, or in a message under a name of its own; and before the names
+# of LabVIEW's columns.
+_UNIT = re.compile(
+    r"\b(gyro\w*?|gyr|acc\w*?)(?:_units?\b|\s+units?\b|\s+sensitivity\b|(?:\s+data)?\s+in\b)"
+    r"[\s:=\"'\\]+([^\"'\\,;}\n]+?)\s*(?:\band\b|[\"'\\,;}\n]|$)",
+    re.IGNORECASE,
+)
+_UNITS_OF_LABVIEW = "Y_Unit_Label"
 # Lines of files of noise coefficients, and the targets of `export` that such a file may be of.
 _COEFFICIENTS = {
     r"^\s*\w+-axis:": "imu_utils",
@@ -46,9 +76,7 @@ _COEFFICIENTS = {
 _SECTION = re.compile(r"\s*(?:[\[<]/?[A-Za-z][\w .-]*[\]>]|\w*END\w*)\s*")
 # A header has at most so many lines; and this share of the first lines must be rows if each line is one.
 _HEADER_LINES, _REGULAR = 4, 0.99
-# A line of numbers with decimal commas, which may have whole numbers, too.
-_COMMA_NUMBER = r"[+-]?\d+(?:,\d+)?(?:[eE][+-]?\d+)?"
-_DECIMAL_COMMA = re.compile(rf"\s*{_COMMA_NUMBER}(?:[\s;]+{_COMMA_NUMBER})*[\s;]*")
+_GROUPS = "commas within numbers in quotes are taken to separate thousands"
 _SENSORS: dict[Sensor, str] = {"gyro": "gyros", "accel": "accelerometers"}
 
 
@@ -95,13 +123,21 @@ class Grammar:
         mark = self.message.mark if self.message else None
         return b"\n" if mark is None else b"\n" + (mark.encode() or b"\n")
 
-    def filter(self, path: str) -> str:
-        """A command that writes the rows alone."""
-        if self.message is not None:
-            word = max(re.findall(r"\w+", self.message.shape), key=len, default="")
-            return f"grep -aF '{word}' '{path}' > rows.txt"
-        mark = "" if self.delimiter is None else f" -F'{self.delimiter}'"
-        return f"awk{mark} 'NF=={self.fields}' '{path}' > rows.csv"
+    def without(self, others: Sequence[str], path: str) -> str:
+        """What to do about lines that are no rows: a command that writes the rows alone, if there is one."""
+        # A command must not write to the file that it reads.
+        name = "rows.txt" if Path(path).name != "rows.txt" else "rows-2.txt"
+        command = ""
+        if self.message is None:
+            mark = "" if self.delimiter is None else f" -F'{self.delimiter}'"
+            command = f"awk{mark} 'NF=={self.fields}'"
+        else:
+            words = re.findall(r"\w+", self.message.shape)
+            own = [word for word in words if not any(word in other for other in others)]
+            command = f"grep -aF '{max(own, key=len)}'" if own else ""
+        if not command:
+            return "repair these lines, or leave them out"
+        return f"to leave them out, run {command} {shlex.quote(path)} > {name}"
 
     def after(self, lines: int) -> "Grammar":
         """Return the grammar of a table that begins after so many lines."""
@@ -156,6 +192,7 @@ class Grammar:
             return None
         cells = split(self._bare(text), self.delimiter)
         cells = cells[: self.fields] if fits(cells, self.fields) else trimmed(cells)
+        cells = without_groups(cells, self.delimiter) if self.decimal == "." else cells
         numbers = {k for k, cell in enumerate(cells) if is_number(cell.replace(self.decimal, "."))}
         words = [k for k, cell in enumerate(cells) if cell and k in self.numeric and k not in numbers]
         # A delimiter within quotes separates nothing.
@@ -188,29 +225,53 @@ def grammar_of(texts: Sequence[str], file: str, source: Source) -> Grammar:
     found = _plain(head)
     if found is None or not _is_regular(found, texts):
         found = _of_messages(head) or found
-    if found is None:
+    if found is None or _raw(head):
         raise source.error(_without_rows(head, source.label))
     before = [text.strip() for text in texts[: found.start]]
-    stated = next(filter(None, map(_RATE.search, before)), None)
-    if stated is not None:
-        rate = float(stated[1]) * (1e3 if stated[2] else 1.0)
-        note = f"sample rate {rate:g} Hz from the line {stated.string[:60]!r}"
-        found = replace(found, rate=rate, notes=(*found.notes, note))
     _, row = next(found.records(head[found.start :]))
+    found = _with_rate(_with_units(found, [*filter(is_comment, before), row]), before)
     return _of_device(found, {"head": "\n".join(before), "row": row, "file": file})
+
+
+def _with_rate(found: Grammar, before: Sequence[str]) -> Grammar:
+    """Return the grammar with the sample rate that a line before the data states, or the interval."""
+    stated = next(filter(None, map(_RATE.search, before)), None)
+    interval = next(filter(None, map(_INTERVAL.match, before)), None)
+    if stated is not None:
+        line, rate = stated.string, float(stated[1]) * (1e3 if stated[2] else 1.0)
+    elif interval is not None and float(interval[1]):
+        line, rate = interval.string, 1.0 / float(interval[1])
+    else:
+        return found
+    note = f"sample rate {rate:g} Hz from the line {line[:60]!r}"
+    return replace(found, rate=rate, notes=(*found.notes, note))
+
+
+def _with_units(found: Grammar, texts: Sequence[str]) -> Grammar:
+    """Return the grammar with the units that comments and the first row state."""
+    units: dict[Sensor, str] = {}
+    for text in texts:
+        for name, unit in _UNIT.findall(text):
+            sensor = recognise(name).sensor
+            with suppress(UnitError):
+                if sensor is not None and sensor not in units:
+                    units[sensor] = parse_sample_unit(unit, sensor).name
+    if not units:
+        return found
+    told = " and ".join(f"{_SENSORS[sensor]} in {unit}" for sensor, unit in units.items())
+    return replace(found, units=units, notes=(*found.notes, f"{told} where columns state none"))
 
 
 def _without_rows(head: Sequence[Numbered], path: str) -> str:
     """What there is in place of rows of numbers, and what to do, in words."""
-    shown = [(number, text) for number, text in head if text.strip()]
-    number, text = shown[len(shown) // 2]
+    number, text = _middle(head)
     looked = f"{len(head)} lines" if len(head) > 1 else "line"
-    remedy = (
-        "write a line of names, such as time [s],gyro_x [deg/s],accel_x [g], and below it a row of numbers "
-        "per sample"
+    remedy = _raw(head).replace("{path}", shlex.quote(path)) or (
+        "convert it to a line of names, such as time [s],gyro_x [deg/s],accel_x [g], and below it a row of "
+        "numbers per sample"
     )
     for pattern, target in _COEFFICIENTS.items():
-        if any(re.search(pattern, text) for _, text in shown):
+        if any(re.search(pattern, text) for _, text in head):
             other = "vins-mono" if target == "kalibr" else "kalibr"
             remedy = (
                 "these are coefficients of noise and no samples; convert them, e.g. with allanjax export "
@@ -220,12 +281,23 @@ def _without_rows(head: Sequence[Numbered], path: str) -> str:
     return f"no row of numbers in its first {looked}; line {number + 1} is {text.strip()[:80]!r}; {remedy}"
 
 
+def _middle(head: Sequence[Numbered]) -> Numbered:
+    """Return the line in the middle of those that are not blank."""
+    shown = [(number, text) for number, text in head if text.strip()]
+    return shown[len(shown) // 2]
+
+
+def _raw(head: Sequence[Numbered]) -> str:
+    """How lines are to be converted before they are rows of numbers; "" if they are not."""
+    return next((how for pattern, how in _RAW.items() if re.search(pattern, _middle(head)[1])), "")
+
+
 def _of_messages(head: Sequence[Numbered]) -> Grammar | None:
     """Return the grammar of messages; None if there are none."""
     found = messages_in(head)
     if found is None:
         return None
-    kind = f"messages such as {' '.join(found.example.split())[:60]!r}"
+    kind = f"the rows are messages such as {' '.join(found.example.split())[:60]!r}"
     notes = (*_skipped([text for _, text in head[: found.start] if text.strip()]), kind)
     fields = len(found.message.cells)
     return Grammar(found.start, fields, found.labels, "\t", message=found.message, notes=notes)
@@ -250,12 +322,16 @@ def _plain(head: Sequence[Numbered]) -> Grammar | None:
     """Return the grammar of lines that are cells between delimiters; None if none of them is a row."""
     head = [(number, text) for number, text in head if text.strip(" ")]
     sep = _SEP.fullmatch(head[0][1])
-    lines, has_commas = [], False
+    lines, has_commas, has_groups = [], False, False
     for number, text in head[1:] if sep else head:
-        bare = text.replace(",", ".") if _has_decimal_commas(text) else text
-        has_commas |= bare != text
-        delimiter = sep[1] if sep else delimiter_of(bare)
-        lines.append(_Line(number, bare, delimiter, split(bare, delimiter)))
+        own = has_decimal_commas(text)
+        has_commas |= own
+        delimiter = delimiter_beside_commas(text) if own else delimiter_of(text)
+        delimiter = sep[1] if sep else delimiter
+        cells = split(text, delimiter)
+        bare = with_points(cells) if own else without_groups(cells, delimiter)
+        has_groups |= not own and bare != cells
+        lines.append(_Line(number, text, delimiter, bare))
     first = _first_row([line for line in lines if not is_comment(line.text)])
     if first is None:
         return None
@@ -268,22 +344,15 @@ def _plain(head: Sequence[Numbered]) -> Grammar | None:
         decimal="," if has_commas else ".",
         comment="%" if is_percent else "#",
         numeric=tuple(k for k, cell in enumerate(first.cells) if is_number(cell)),
-        notes=("numbers with decimal commas",) if has_commas else (),
+        notes=(*["numbers with decimal commas"] * has_commas, *[_GROUPS] * (has_groups and not has_commas)),
     )
     return _with_names(found, before)
-
-
-def _has_decimal_commas(text: str) -> bool:
-    """Whether a line is numbers with decimal commas, separated by semicolons, tabs or blanks."""
-    if "," not in text or not _DECIMAL_COMMA.fullmatch(text.replace('"', "")):
-        return False
-    return delimiter_of(text) != "," or re.search(r"\d\s+[+-]?\d", text) is not None
 
 
 def _first_row(lines: Sequence[_Line]) -> _Line | None:
     """Return the first row: the one below names of axes, or else the first of the most frequent size."""
     for k, line in enumerate(lines):
-        above = reversed(lines[max(k - _HEADER_LINES, 0) : k]) if line.numbers else ()
+        above = reversed(lines[max(k - _HEADER_LINES, 0) : k]) if any(map(is_number, line.cells)) else ()
         for other in above:
             names = trimmed(split(other.text, line.delimiter))
             if any(map(is_number, names)):
@@ -291,7 +360,9 @@ def _first_row(lines: Sequence[_Line]) -> _Line | None:
             # The last names may have no cells if that is so in all rows.
             size = len(line.cells)
             is_short = size < len(names) and all(len(x.cells) == size for x in lines[k : k + 3])
-            if any(map(is_axis, names)) and (fits(line.cells, len(names)) or is_short):
+            has_cells = fits(line.cells, len(names)) or is_short
+            names_columns = any(map(is_axis, names)) or set(names) >= set(LONG)
+            if names_columns and has_cells and _are_plain(names, line):
                 return line._replace(cells=line.cells[: len(names)])
     rows = [line for line in lines if 0 < len(trimmed(line.cells)) <= 2 * line.numbers]
     if not rows:
@@ -301,6 +372,13 @@ def _first_row(lines: Sequence[_Line]) -> _Line | None:
     alike = [x for x in rows if (x.delimiter, len(x.cells)) == (first.delimiter, len(first.cells))]
     # Columns at the end that are empty in all rows are none.
     return first._replace(cells=first.cells[: max(len(trimmed(line.cells)) for line in alike)])
+
+
+def _are_plain(names: Sequence[str], line: _Line) -> bool:
+    """Whether no cell of a known column has a number beside something else, as messages have."""
+    cells = zip(names, line.cells, strict=False)
+    mixed = [name for name, cell in cells if is_decorated(cell, line.delimiter)]
+    return all(name and recognise(name).role == "auxiliary" and not is_axis(name) for name in mixed)
 
 
 def _is_regular(found: Grammar, texts: Sequence[str]) -> bool:
@@ -320,7 +398,7 @@ def _with_names(found: Grammar, before: Sequence[_Line]) -> Grammar:
         header = number, _joined([x for _, x in fitting[1 - _HEADER_LINES :]]) or names
     if header is not None:
         number, names = header
-        units = _units([cells for n, cells in named if n > number])
+        units = _units([cells for n, cells in named if n > number or cells[:1] == [_UNITS_OF_LABVIEW]])
         pairs = itertools.zip_longest(names, units[: len(names)], fillvalue="")
         labels = tuple(with_unit(name, unit) for name, unit in pairs)
         notes = found.notes + _skipped([line.text for line in plain if line.number < number])
@@ -373,7 +451,8 @@ def _skipped(lines: Sequence[str]) -> tuple[str, ...]:
     """Return a note on skipped lines before the data, if any."""
     if not lines:
         return ()
-    return (f"{len(lines)} lines before the data are skipped, the first is {lines[0].strip()[:60]!r}",)
+    first = f"{lines[0].strip()[:60]!r}" if len(lines) == 1 else f"the first is {lines[0].strip()[:60]!r}"
+    return (f"skipped: {counted(len(lines), 'line')} before the data, {first}",)
 
 
 @functools.cache
@@ -399,13 +478,14 @@ def _of_device(found: Grammar, texts: Mapping[str, str]) -> Grammar:
         units = {sensor: device[sensor] for sensor in SENSORS if sensor in device}
         said = ["columns"] if columns else []
         said += [f"{_SENSORS[sensor]} in {unit}" for sensor, unit in units.items()]
+        said = said or ["names"]
         return replace(
             found,
             fields=len(columns) or found.fields,
             labels=tuple(rename.get(label, label) for label in columns or found.labels or ()) or None,
             message=message,
             notes=(*found.notes, f"{', '.join(said)} by the format of {device['name']}"),
-            units=units,
+            units={**found.units, **units},
             sizes=device.get("sizes", {}),
         )
     return found

@@ -374,7 +374,8 @@ class Stamps:
     def _missing(self, lost: int) -> str:
         """Return that samples are missing, and what to do, in words."""
         text, share = f"column {self.label!r}: {self._lack(lost)}", lost / (lost + len(self.seconds))
-        segment, fill = "read the longest part without with gaps='segments'", "fill them in with gaps='fill'"
+        segment = "read the longest part without gaps, with gaps='segments'"
+        fill = "fill them in with gaps='fill'"
         if share > MOST_MISSING:
             return f"{text}; at most {percent(MOST_MISSING)} can be filled in: {segment}"
         return f"{text}; {segment}, or {fill}" if self._has_long_gap else f"{text}; {fill}, or {segment}"
@@ -450,7 +451,10 @@ class Stamps:
                 Stamps(longest, self.step, self.label, self.source).grid(
                     None, gaps=False, uniform=False, force=False
                 )
-                segments = f"read the longest part without ({len(longest)} samples) with gaps='segments'; "
+                segments = (
+                    f"read the longest part without such a step ({len(longest):,} samples) with "
+                    "gaps='segments'; "
+                )
                 if len(back) < _SET * len(times):
                     # A clock that was set a few times is otherwise right.
                     why, uniform = "the clock was set", ""

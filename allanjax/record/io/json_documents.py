@@ -3,12 +3,13 @@
 import json
 import re
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from allanjax.record.io.arrays import from_named
+from allanjax.record.io.arrays import from_named, stated_units
 from allanjax.record.io.table import Format, Table, damage_reported
 from allanjax.record.io.text import open_text
 from allanjax.record.validation import Source
@@ -44,7 +45,8 @@ def open_json(path: Path, source: Source) -> Table:
             return from_named({name: np.asarray(x) for name, x in _flat(document, False)}, source)
         frame = pd.DataFrame([dict(_flat(record, True)) for record in records])
         columns = tuple(_numbers(frame[label]) for label in frame)
-        return Table.of(columns, tuple(map(str, frame)), source)
+        units, notes = stated_units(dict(_flat(records[0], True)))
+        return replace(Table.of(columns, tuple(map(str, frame)), source, notes=notes), units=units)
 
 
 def _records(value: Any) -> Sequence[dict[str, Any]]:

@@ -1,7 +1,7 @@
-"""Tables whose rows are of several sensors, which a column names: one of them is read."""
+"""Tables whose rows are of several sensors or fields, which a column names."""
 
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
 
 import numpy as np
@@ -18,6 +18,8 @@ from allanjax.record.validation import MIN_SAMPLES
 # Rows in which kinds are looked for, and the most kinds that there are.
 _FIRST_ROWS, _MOST_KINDS = 1000, 50
 _AXES = ("x", "y", "z")
+#: Names of the columns of a long table, in which each row has one value, as InfluxDB writes it.
+LONG = _TIME, _FIELD, _VALUE = ("_time", "_field", "_value")
 # Names of columns that tell which of several sensors of one kind a row is of, and the most such sensors.
 _NAMES = re.compile(
     r"(?:.*[\W_])?(?:sensor|imu|device|instance|board|node|module)s?"
@@ -132,12 +134,17 @@ def _part(table: Table, columns: Columns, labels: tuple[str, ...] | None, rows: 
 
 
 def _of_one_kind(table: Table, columns: Columns, options: ReadOptions) -> tuple[Table, Columns]:
-    """Return the rows of gyros or of accelerometers, with names of their axes; others unchanged.
+    """Return the rows of gyros or of accelerometers, with names of their axes; a long table with its fields.
+
+    Other tables are unchanged.
 
     Raises:
+        RecordingError: a long table has several values of a field at a time.
         MixedRatesError: there are rows of several sensors, and none was chosen with `columns`.
     """
     labels = table.labels or _labels(columns)
+    if set(labels) >= set(LONG):
+        return _wide(table, dict(zip(labels, columns, strict=True)))
     stems = [_last_of(label) for label in labels]
     words = [k for k, column in enumerate(columns) if not is_numeric(column) and column.dtype.kind != "M"]
     if not set(_AXES) <= set(stems) or not words:
@@ -163,6 +170,26 @@ def _of_one_kind(table: Table, columns: Columns, options: ReadOptions) -> tuple[
         kept = tuple(columns[i][rows] for i in others)
         return _part(table, kept, tuple(named[i] for i in others), rows, note), kept
     return table, columns
+
+
+def _wide(table: Table, columns: Mapping[str, Cells]) -> tuple[Table, Columns]:
+    """Return a table with a column for each field of a long one, in the order of its times."""
+    import pandas as pd
+
+    frame = pd.DataFrame({name: columns[name] for name in LONG})
+    repeated = np.flatnonzero(frame.duplicated([_TIME, _FIELD]))
+    if repeated.size:
+        row = int(repeated[0])
+        raise table.source.error(
+            f"several values of {frame[_FIELD][row]!r} at {frame[_TIME][row]} ({table.source.locate(row)}): "
+            "the table has several series; export one of them"
+        )
+    wide = frame.pivot(index=_TIME, columns=_FIELD, values=_VALUE).loc[frame[_TIME].unique()]
+    made = (wide.index.to_numpy(object), *(wide[name].to_numpy() for name in wide))
+    labels = (_TIME, *map(str, wide))
+    note = f"long table: {len(frame):,} rows have one value each, of {', '.join(labels[1:])}"
+    rows = np.flatnonzero(~frame.duplicated([_TIME]))
+    return _part(table, made, labels, rows, note), made
 
 
 def _labels(columns: Columns) -> tuple[str, ...]:

@@ -17,14 +17,16 @@ from allanjax.record.columns import (
     by_unit,
     default_names,
     distinct,
+    in_directions,
     may_be_time,
     recognise,
     split_unit,
+    triads,
 )
 from allanjax.record.io.absent import unwrapped
 from allanjax.record.io.options import ReadOptions
 from allanjax.record.io.table import Columns, Table, is_numeric
-from allanjax.record.io.times import unevenness
+from allanjax.record.io.times import are_times, unevenness
 from allanjax.record.shapes import Cells
 from allanjax.record.units import SENSORS, Sensor, convert, is_unit, unit_scale
 from allanjax.record.validation import check_names
@@ -75,11 +77,13 @@ class Layout:
         for column in found:
             axis = by_unit(column)
             named.append(column if axis.sensor in sensors else axis)
-        columns = tuple(c for c in named if c.role == "axis" and c.index not in in_clock)
+        columns = tuple(in_directions([c for c in named if c.role == "axis" and c.index not in in_clock]))
         _check_is_recording(table, found, columns, clock)
         columns = distinct(columns, table.source)
         _check_all_used(table, columns, clock, first, options)
-        units, samples = table.units_with(options), partial(_samples, columns, first)
+        samples = partial(_samples, columns, first)
+        labelled = [sensor for sensor in SENSORS if all(c.unit for c in columns if c.sensor == sensor)]
+        units = table.units_with(options, labelled)
         axes, axis_notes = axes_of(columns, units, table.source, samples)
         used = in_clock | {column.index for column in columns}
         auxiliary = tuple(c for c in found if c.index not in used and _is_channel(c, first[c.index]))
@@ -112,7 +116,7 @@ def _found(table: Table, first: Columns, options: ReadOptions) -> tuple[list[Col
     if options.columns is not None:
         found = _chosen(table, len(first), options.columns)
     elif table.labels is not None:
-        repeated = _repeated(table.labels)
+        repeated = _repeated([*filter(None, table.labels)])
         if repeated:
             raise table.source.error(
                 f"several columns are called {', '.join(map(repr, repeated))}; correct the header, or name "
@@ -159,8 +163,8 @@ def _of_one_sensor(found: list[Column], options: ReadOptions, notes: list[str]) 
 
 
 def _recognised(labels: Sequence[str]) -> list[Column]:
-    """Return the columns recognised by their labels."""
-    return [replace(recognise(label), index=i) for i, label in enumerate(labels)]
+    """Return the columns recognised by their labels; one without a label has its number."""
+    return [replace(recognise(label or f"column {i + 1}"), index=i) for i, label in enumerate(labels)]
 
 
 def _as_time(column: Column, values: Cells, table: Table) -> Column:
@@ -175,9 +179,8 @@ def _as_time(column: Column, values: Cells, table: Table) -> Column:
     if time is None and column.unit is not None and is_unit(column.unit, "s"):
         time = replace(column, role="time")
     # Durations beside samples, such as a latency, do not increase from row to row.
-    if time is None or not is_numeric(values) or not _increases(values):
-        return column
-    return time
+    passes = _increases(values) if is_numeric(values) else are_times(values)
+    return time if time is not None and passes else column
 
 
 def _increases(values: Cells) -> bool:
@@ -290,6 +293,8 @@ def _clock(
         # Without a rate, the unit of a counter is unknown.
         counters = [c for c in found if c.role == "counter" and first[c.index].dtype.kind in "iu"]
         candidates = [c for c in counters if np.median(np.diff(first[c.index].astype(float))) > 0.0][:1]
+    if not candidates and not (options.rate or table.rate):
+        candidates = [c for c in found if c.role == "auxiliary" and are_times(first[c.index])]
     parts = {column.time_part: column for column in candidates if column.time_part is not None}
     choices: list[tuple[Column, ...]] = [(column,) for column in candidates]
     for (prefix, unit), column in parts.items():
@@ -328,15 +333,25 @@ def _check_is_recording(
             "read it with read_curve, or give --curve to characterize and compare"
         )
     if not axes:
-        # Samples usually come last, of two sensors or of one.
-        unknown = [column for column in found if column.role == "auxiliary"]
-        size = next((n for n in (6, 3) if len(unknown) >= n), len(unknown))
-        some = dict(zip(unknown[-size:], EXAMPLE[1:], strict=False)) if size else {}
+        some = _likely([column for column in found if column.role == "auxiliary"])
         names = ",".join("time" if column.role == "time" else some.get(column, "-") for column in found)
+        told = f" if {', '.join(column.label for column in some)} are these" if some else ""
         raise table.source.error(
             f"no gyro or accelerometer column among {', '.join(column.label for column in found)}; "
-            f"name the columns in their order, - skips one, such as columns='{names}'"
+            f"name the columns in their order, - skips one, such as columns='{names}'{told}"
         )
+
+
+def _likely(unknown: Sequence[Column]) -> dict[Column, str]:
+    """Return columns that may be axes, and of which: those called x, y and z, or else the last ones."""
+    named = [column for three in triads(unknown)[:2] for column in three]
+    # Samples usually come last, of two sensors or of one.
+    size = next((n for n in (6, 3) if len(unknown) >= n), len(unknown))
+    chosen = named or unknown[len(unknown) - size :]
+    names = EXAMPLE[1:]
+    if named and chosen[0].name.casefold().startswith(("a", "f")):
+        names = (*names[3:], *names[:3])
+    return dict(zip(chosen, names, strict=False))
 
 
 def _check_all_used(

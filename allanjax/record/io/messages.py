@@ -144,8 +144,21 @@ def messages_in(head: Sequence[Numbered]) -> Found | None:
             examples = [record for record in records if _shape(record[1]) == shape]
             found = _found(shape, examples, [text for n, text in head if n < examples[0][0]], mark)
             if found is not None and (best is None or found.axes > best.axes):
-                best = found._replace(message=replace(found.message, others=words - {shape}))
+                kinds = {_shape(text): text for _, text in records}
+                others = frozenset(x for x in words if not _are_alike(x, kinds[x], shape, found))
+                best = found._replace(message=replace(found.message, others=others))
     return best
+
+
+def _are_alike(other: str, text: str, shape: str, found: Found) -> bool:
+    """Whether a shape, of which a text is an example, is that of unusual messages like those found.
+
+    These differ in digits of words alone, or name the same axes: to leave them out would leave gaps.
+    """
+    if re.sub(r"[\d_]+", "", other) == re.sub(r"[\d_]+", "", shape):
+        return True
+    axes = {label for label in found.labels or () if is_axis(label)}
+    return bool(axes) and axes <= {*_labels_of(text, [])}
 
 
 def _openings(head: Sequence[Numbered]) -> list[str]:
@@ -310,6 +323,11 @@ def _with_units(names: Sequence[str | None], values: Sequence[_Value]) -> list[s
         units[k] = units[k] or (units[k - 1] if values[k].follows else "")
     for k in reversed(range(1, len(values))):
         units[k - 1] = units[k - 1] or (units[k] if values[k].follows else "")
+    # A unit behind the last axis of a sensor is that of all.
+    sensors = [recognise(name or "").sensor for name in names]
+    for k, sensor in enumerate(sensors):
+        own = {unit for other, unit in zip(sensors, units, strict=True) if unit and other == sensor}
+        units[k] = own.pop() if sensor and len(own) == 1 else units[k]
     labels: list[str | None] = []
     for name, unit in zip(names, units, strict=True):
         label = name and with_unit(name, unit)

@@ -8,6 +8,7 @@ import numpy as np
 from jaxtyping import Int
 
 from allanjax.base.errors import MixedRatesError
+from allanjax.base.wording import counted
 from allanjax.record.columns import Column, axes_by_sensor, with_unit
 from allanjax.record.completion import Gap, Segments, on_grid, segments_of, without_repeats
 from allanjax.record.io.absent import without_samples
@@ -203,7 +204,10 @@ def _without_absent(part: Rows, layout: Layout) -> tuple[Rows, tuple[str, ...]]:
     cut = len(values) - len(part.values)
     if not cut:
         return part, found.notes
-    return part, (*found.notes, f"{cut:,} rows at the ends without a sample of all sensors are left out")
+    return part, (
+        *found.notes,
+        f"left out: {counted(cut, 'row')} at the ends without a sample of all sensors",
+    )
 
 
 def _auxiliary(column: Column, values: Channel, source: Source) -> tuple[Channel | None, str]:
@@ -223,12 +227,11 @@ def _own(part: Rows, layout: Layout, options: ReadOptions) -> tuple[Rows, list[s
     if not options.uniform:
         kept = without_repeats(part.values, part.seconds)
     if not kept.all():
-        notes.append(f"{np.count_nonzero(~kept)} packets that were recorded twice are left out")
+        notes.append(f"left out: {counted(int(np.count_nonzero(~kept)), 'packet')} recorded twice")
     own = own_rows(part.taken(kept), layout.columns)
     if not own.all():
-        notes.append(
-            f"{np.count_nonzero(~own)} rows that repeat the previous values, or have none, are left out"
-        )
+        left = counted(int(np.count_nonzero(~own)), "row")
+        notes.append(f"left out: {left} that repeat the previous values, or have none")
     kept[kept] = own
     return part if kept.all() else part.taken(kept), notes
 

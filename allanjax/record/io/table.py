@@ -2,7 +2,7 @@
 
 import re
 import sys
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Container, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from importlib import import_module
@@ -82,10 +82,11 @@ class Table:
             raise self.source.no_rows()
         return parts[0] if len(parts) == 1 else tuple(map(np.concatenate, zip(*parts, strict=True)))
 
-    def units_with(self, options: ReadOptions) -> dict[Sensor, str | None]:
-        """Return the unit of each sensor's samples: that of the options, else that of the format."""
+    def units_with(self, options: ReadOptions, labelled: Container[Sensor]) -> dict[Sensor, str | None]:
+        """Return the unit of each sensor: of the options, or of the file for one without labelled units."""
         given = {sensor: unit for sensor, unit in options.units.items() if unit is not None}
-        return {**dict.fromkeys(SENSORS), **self.units, **given}
+        own = {sensor: unit for sensor, unit in self.units.items() if sensor not in labelled}
+        return {**dict.fromkeys(SENSORS), **own, **given}
 
 
 @dataclass(frozen=True)

@@ -14,6 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from allanjax.base.wording import counted
 from allanjax.record.io.grammar import FIRST_LINES, Grammar, grammar_of, names_axes
 from allanjax.record.io.table import Columns, Format, Table, damage_reported
 from allanjax.record.validation import Source
@@ -29,8 +30,14 @@ _OF_NUMBERS = tuple("0123456789+-.")
 # Zero bytes that a loss of power leaves in text, and the largest share of others.
 _MOST_ZEROS = 1e-3
 _ZEROS = re.compile(rb"\0{16,}|\0+$")
+# What spreadsheets write in place of a number; # would begin a comment.
+_NOT_AVAILABLE = re.compile(rb"#(?:N/A|DIV/0!|NUM!|VALUE!|REF!)")
+# Codes by which terminals change the colour.
+_COLOURS = re.compile(rb"\x1b\[[\d;]*[A-Za-z]")
 # Exponent of a number as Fortran writes it.
 _FORTRAN = re.compile(rb"(\d\.?)[Dd]([+-]\d\d)")
+# What stands for no number, beside what pandas knows.
+_MISSING = [*("-", "--", "---", "*", "?"), *("none", "NONE", "nil", "NIL", "Null", "Nan", "NAN", "missing")]
 # Lines that are no rows are left out up to this share of all, or up to so many.
 _MOST_OTHERS, _FEW_OTHERS = 0.01, 5
 # Lines that a message quotes.
@@ -75,7 +82,7 @@ def open_text(path: Path, source: Source) -> Table:
     place = Source(
         source.label,
         lambda row: reader.locate(row, blocks(grammar.end, [])),
-        "nan, an empty cell, or a damaged row",
+        "nan, an empty cell, a marker such as --, or a damaged row",
         grammar.sizes,
     )
     return Table(rows, grammar.labels, place, None, grammar.rate, reader.notes, grammar.units)
@@ -129,7 +136,15 @@ def _pieces(path: Path, source: Source, notes: list[str]) -> Iterator[bytes]:
     for piece in itertools.chain([first.removeprefix(codecs.BOM_UTF8)], raw):
         text = piece if encoding == "utf-8" else decoder.decode(piece).encode()
         text = text.replace(b"\r", b"\n") if has_returns else text
+        text = _cleaned(text)
         yield _FORTRAN.sub(rb"\1e\2", text) if is_fortran else text
+
+
+def _cleaned(text: bytes) -> bytes:
+    """Text without colours of a terminal, errors of spreadsheets, and units that were decoded wrongly."""
+    text = _NOT_AVAILABLE.sub(b"nan", text) if b"#" in text else text
+    text = _COLOURS.sub(b"", text) if b"\x1b" in text else text
+    return text.replace("Â".encode() + b"\xc2", b"\xc2")
 
 
 def _decompressed(path: Path, notes: list[str]) -> Iterator[bytes]:
@@ -230,7 +245,7 @@ class _Reader:
         if strange > _MOST_OTHERS * self._lines + _FEW_OTHERS:
             raise self._source.error(
                 f"{strange} of {self._lines} lines are no rows of {grammar.fields} numbers: "
-                f"{'; '.join(self._examples)}; to leave them out, run {grammar.filter(self._source.label)}"
+                f"{'; '.join(self._examples)}; {grammar.without(self._examples, self._source.label)}"
             )
         return columns
 
@@ -238,13 +253,13 @@ class _Reader:
         """Note what was left out."""
         self._counts["strange"] += self._trailing
         what = {
-            "names": "more lines of names are left out",
-            "known": "lines of other messages or tables are left out",
-            "strange": f"lines that are no rows are left out: {'; '.join(self._examples)}",
+            "names": "with the names again",
+            "known": "of other messages or tables",
+            "strange": f"without a row of numbers: {'; '.join(self._examples)}",
         }
-        for kind, left_out in what.items():
+        for kind, words in what.items():
             if self._counts[kind]:
-                self.notes.append(f"{self._counts[kind]} {left_out}")
+                self.notes.append(f"left out: {counted(self._counts[kind], 'line')} {words}")
 
     def locate(self, row: int, blocks: Iterable[_Block]) -> str:
         """Return the place of a row in words, with its text if it is damaged."""
@@ -275,6 +290,7 @@ class _Reader:
                 decimal=grammar.decimal,
                 comment=grammar.comment if grammar.message is None else None,
                 skipinitialspace=True,
+                na_values=_MISSING,
                 low_memory=False,
             )
         except (pd.errors.ParserError, pd.errors.EmptyDataError, UnicodeDecodeError):

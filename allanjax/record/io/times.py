@@ -204,9 +204,14 @@ def is_missing(cell: object) -> bool:
 
 
 def unevenness(stamps: Cells) -> int:
-    """Return how uneven stamps are: 0 if intervals agree within a fifth, 1 if not, 2 if they never change."""
+    """Return how uneven stamps are: 0 if intervals agree within a fifth, 1 if not, 2 if they never change.
+
+    Of text it is 1 if stamps repeat.
+    """
     if stamps.dtype.kind == "M":
         stamps = stamps.astype(np.int64)
+    if stamps.dtype.kind == "O":
+        return int(len(stamps) > 1 and stamps[0] == stamps[1])
     if not is_numeric(stamps) or len(stamps) < 3:
         return 0
     intervals = np.diff((stamps - stamps[0]).astype(float))
@@ -214,6 +219,13 @@ def unevenness(stamps: Cells) -> int:
     if not intervals.any():
         return 2
     return int(not typical > 0.0 or np.mean(abs(intervals / typical - 1.0) > 0.2) > 0.1)
+
+
+def are_times(values: Cells) -> bool:
+    """Return whether text has times of the day, with or without a date, that are not all the same."""
+    texts = [str(x) for x in (values[0], values[-1])] if values.dtype.kind == "O" and len(values) else []
+    is_time = bool(texts) and ":" in texts[0] and texts[0] != texts[1]
+    return is_time and bool(_CLOCK.fullmatch(texts[0]) or _date_format(texts[0]))
 
 
 def _date_format(text: str) -> str:
