@@ -144,7 +144,7 @@ def _left(recording: Recording, failed: Mapping[str, DeadAxis]) -> Recording:
     """The recording without axes whose critique failed; FitError if no axis is left."""
     left = [name for name in recording.names if name not in failed]
     if not left:
-        reasons = "; ".join(f"{name}: {axis.reason}" for name, axis in failed.items())
+        reasons = "; ".join(f"{name}: {failed[name].reason}" for name in recording.names)
         raise FitError(f"{recording.name or 'the recording'}: {reasons}")
     return dataclasses.replace(recording.select(*left), dead=recording.dead)
 

@@ -111,18 +111,17 @@ def _problem(view: View, whole: bool = False) -> tuple[Record, Structure]:
 def candidate_structure(view: View) -> tuple[View, float] | None:
     """View with the structure of its spectrum beyond the findings, and its log odds [nats].
 
-    That of the fit comes first; it is searched for once more if the spectrum is off with it. The odds are
-    against all basic terms, also missing ones: a Markov process may explain much of a filter.
+    It is that of the fit, if that has one; when everything else has been found, it is searched for once more
+    if the spectrum is off (`finished`). The odds are against all basic terms, also missing ones: a Markov
+    process may explain much of a filter.
     """
-    times = view.found.count(SpectralShape.name)
-    reopened = view.fitted is not None and times > 1
-    if view.structure is not None and (reopened or not _left(view)):
+    if view.structure is not None and (view.fitted is not None or not _left(view)):
         return None
     record, start = _problem(view)
-    if view.fitted is not None and times == 0:
-        spectrum, found = refitted(record, start.with_shape_of(view.fitted))
-    else:
+    if view.fitted is None:
         spectrum, found = searched(record, start)
+    else:
+        spectrum, found = refitted(record, start.with_shape_of(view.fitted))
     spectrum, found = in_full(spectrum, _of_resonances(spectrum, found, record.n))
     found = _with_what_is_known(view, spectrum, found)
     if found.structure.has_shape_of(start):
