@@ -68,6 +68,8 @@ _NEARLY_ALL, _SURE, _TRIED, _LOOKS, _APART = 0.9, 10.0, 64, 3, 1.5
 _ROUNDS, _WORSE, _SLIGHT = 6, 1.2, 0.001
 # Share of the discrepancy that must be removed, and fewest samples for a search.
 _LESS, _SHORTEST = 0.5, 1024
+# Most lines that are fitted: more are a comb, as of pulses, which are outliers.
+_MOST_LINES = 32
 # Log prior odds that another axis of a sensor has the same kind of filter [nats]: a judgement, twenty to one.
 _COMMON = 3.0
 
@@ -160,7 +162,7 @@ def _with_more_lines(
 def content_of(x: Samples, rate: float, plain: AxisFit) -> Content | None:
     """Components of the spectrum of an axis's samples at a rate [Hz] besides the plain terms.
 
-    There are none to be sought if the plain terms fit and no line stands out.
+    There are none to be sought if the plain terms fit and no line stands out, or far too many do.
     """
     if len(x) < _SHORTEST:
         return None
@@ -168,7 +170,7 @@ def content_of(x: Samples, rate: float, plain: AxisFit) -> Content | None:
     x = x - x.mean()
     c, lines = _conspicuous_lines(x, rate)
     # Among many coefficients of one level a line may not show.
-    if plain.converged and not plain.discrepancy > 0.0 and not lines:
+    if len(lines) > _MOST_LINES or (plain.converged and not plain.discrepancy > 0.0 and not lines):
         return None
     content = Content.of(x, rate, c, lines)
     of = content.structure

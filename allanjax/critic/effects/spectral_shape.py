@@ -246,10 +246,10 @@ def finished(view: View, found_so_far: Sequence[Step]) -> tuple[list[Step], View
         view = step.made(view, undone=True)
     squares = (view.coefficients - ramp) ** 2
     record = record._replace(squares=squares if view.base is None else squares / view.base)
-    spectrum, found = searched(record, start) if left else refitted(record, start)
-    found = _of_resonances(spectrum, found, record.n) if left else found
-    spectrum, found = completed(record, spectrum, found, MARKOV in view.allowed)
-    found = _with_what_is_known(view, spectrum, _of_resonances(spectrum, found, record.n))
+    spectrum, found = _final(view, record, start, left)
+    if not _groups(found.structure):
+        # A peak may have been split into some that are as narrow as lines.
+        spectrum, found = _final(view, record, start.without(*start.oscillators), True)
     while groups := _groups(found.structure):
         less = [_without(found.structure, group) for group in groups]
         best, *losses = _held_out_losses(record, spectrum, [found.structure, *less])
@@ -279,6 +279,14 @@ def finished(view: View, found_so_far: Sequence[Step]) -> tuple[list[Step], View
     steps.sort(key=lambda step: -step.candidate.gain)
     names = [*after.found, *(step.candidate.cause for step in steps)]
     return steps, after.with_findings(*names), model_of(found.structure, view.rate)
+
+
+def _final(view: View, record: Record, start: Structure, anew: bool) -> tuple[Spectrum, Fitted]:
+    """Spectrum and its final structure, searched for anew from a start or refitted."""
+    spectrum, found = searched(record, start) if anew else refitted(record, start)
+    found = _of_resonances(spectrum, found, record.n) if anew else found
+    spectrum, found = completed(record, spectrum, found, MARKOV in view.allowed)
+    return spectrum, _with_what_is_known(view, spectrum, _of_resonances(spectrum, found, record.n))
 
 
 #: Represents the response among the components of a group.
