@@ -1,5 +1,6 @@
-"""Disk cache of compiled programs, so that only the first run on a machine compiles."""
+"""Disk cache of compiled programs, so that only the first run on a machine compiles; memory that is freed."""
 
+import ctypes
 import os
 import stat
 import sys
@@ -108,6 +109,15 @@ def compiled_once(program: Hashable) -> Iterator[None]:
     with _compiling.setdefault(program, threading.Lock()):
         yield
     _compiled.add(program)
+
+
+def release_memory() -> None:
+    """Return freed memory to the system, where the C library is glibc.
+
+    Freed arrays of several megabytes leave gaps that later ones of other lengths do not fill.
+    """
+    with suppress(OSError, AttributeError):
+        ctypes.CDLL("libc.so.6").malloc_trim(0)
 
 
 def release_programs(share: float) -> None:

@@ -147,7 +147,8 @@ def exponent(x: float, digits: int = 2) -> int:
 
 def power_of(largest: float) -> int:
     """Exponent of ten to write after a number; 0 if the number is easy to read without one."""
-    return 0 if _SMALL <= abs(largest) < _LARGE or largest == 0.0 else exponent(largest, 16)
+    # Of sixteen digits the last one is rounded.
+    return 0 if _SMALL <= abs(largest) < _LARGE or largest == 0.0 else exponent(largest, 15)
 
 
 def times_ten(power: int) -> str:

@@ -253,6 +253,7 @@ def critique(
     reading: Reading = Reading(),
     vibrating: bool = False,
     refit: bool = False,
+    each: bool = False,
     out: Path | None = None,
     format: Figures = "png",
     html: bool = False,
@@ -260,9 +261,9 @@ def critique(
 ) -> None:
     """Find what the noise model of static recordings misses, and why.
 
-    Looks for spectral lines, bias steps, outliers, filters and others. Prints a
-    summary of each file and writes NAME_critique.json and one figure per
-    finding. If one file fails, the others are still processed. With --json
+    Looks for spectral lines, bias steps, outliers, filters and others. Prints
+    what the sensor is and what happened in each file, and writes
+    NAME_critique.json and one figure per axis. If one file fails, the others are still processed. With --json
     (schema: allanjax schema critique), the output for one file is its document;
     with several files, or if none could be read, it is {schema_version,
     critiques, errors}.
@@ -279,6 +280,8 @@ def critique(
         The platform is meant to move or vibrate: skip the test for rest.
     refit
         Also print the coefficients after correction for the findings.
+    each
+        Also write one figure per finding.
     out
         Folder for the results. Default: allanjax-results, or none with --json.
     format
@@ -297,7 +300,7 @@ def critique(
         with stage(f"{file.label}: reading"):
             recording = file.read(reading)
         result = _criticize(file, recording, vibrating)
-        paths = [] if directory is None else _write(result, directory, file, format)
+        paths = [] if directory is None else _write(result, directory, file, format, each)
         if directory is not None and html:
             with stage(f"{file.label}: writing the page"):
                 paths.append(write_page(file, directory, result.fit, result))
@@ -321,7 +324,7 @@ def _criticize(file: Input, recording: "Recording", vibrating: bool) -> "Critiqu
         return critique(recording, vibrating=vibrating, progress=lambda text: show(f"{file.label}: {text}"))
 
 
-def _write(critique: "Critique", directory: Path, file: Input, suffix: str) -> list[Path]:
+def _write(critique: "Critique", directory: Path, file: Input, suffix: str, each: bool) -> list[Path]:
     """Write the JSON file and the figures, and return their paths."""
     from allanjax.presentation.critique_figure import critique_figures
     from allanjax.presentation.critique_json import to_dict
@@ -331,7 +334,10 @@ def _write(critique: "Critique", directory: Path, file: Input, suffix: str) -> l
     with stage(f"{file.label}: writing results"):
         paths = [directory / f"{file.name}_critique.json"]
         write_document(to_dict(critique), paths[0])
-        return paths + [directory / name for name in critique_figures(named, directory, suffix=suffix)]
+        figures = critique_figures(named, directory, suffix=suffix)
+        if each:
+            figures |= critique_figures(named, directory, named.findings, suffix)
+        return paths + [directory / name for name in figures]
 
 
 def report(

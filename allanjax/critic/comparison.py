@@ -18,20 +18,17 @@ import numpy as np
 from jaxtyping import Float
 from scipy.special import ndtr
 
-from allanjax.critic.finding import UNEXPLAINED, Detail, Discrepancy, DriftChange, Finding, parameter_estimate
+from allanjax.critic.finding import UNEXPLAINED, Detail, Discrepancy, Finding, parameter_estimate
 from allanjax.critic.noise import centred
 from allanjax.critic.policy import judged
 from allanjax.critic.profiles import (
     Profile,
-    allan_weights,
     autocorrelation,
     cross_correlation,
-    drift_scale,
-    drift_sizes,
     of_samples,
     profiles_of,
 )
-from allanjax.critic.stage import Stage, narrow_bins
+from allanjax.critic.stage import Stage
 from allanjax.inspection.plausible import lattice
 
 # Ordinates of one half in the narrowest window of a free level, number of intervals of a free distribution.
@@ -126,31 +123,25 @@ _ORDER = (
     *("largest_residual", "lattice", "repeated_values", "window_mean", "window_variance"),
     *("cross_correlation", "auxiliary_correlation"),
 )
-# The drift that a finding changes is over this share of the record at most: longer ones scatter too much.
-_SHARE = 1.0 / 8.0
 
 
 class Comparison(NamedTuple):
-    """Discrepancies of an axis from its simulations before the first finding and after the last one.
+    """Discrepancies of an axis from its simulations without any finding and with all of them.
 
     Attributes:
         before, after: in every statistic, also where p is near 1.
-        pairs: for each finding a statistic before and after it, at the place of the largest improvement.
-        drifts: for each finding the drift that it changes most; None if the record is too short.
-        last: profiles after the last finding by statistic, those whose places have an extent.
-        free: what descriptions that name nothing gain over the model by domain, before the first finding and
-            after the last one; once if there is none.
+        last: profiles with all findings by statistic, those whose places have an extent.
+        free: what descriptions that name nothing gain over the model by domain, without any finding and with
+            all of them; once if there is none.
     """
 
     before: tuple[Discrepancy, ...]
     after: tuple[Discrepancy, ...]
-    pairs: list[tuple[tuple[Discrepancy, Discrepancy], ...]]
-    drifts: list[DriftChange | None]
     last: Mapping[str, Profile]
     free: tuple[Mapping[str, Free], ...]
 
     def rest(self, span: tuple[float, float], domain: str) -> Discrepancy:
-        """Largest discrepancy after the last finding in a part of the record [s] or of the spectrum [Hz]."""
+        """Largest discrepancy with all findings in a part of the record [s] or of the spectrum [Hz]."""
         unit = {"time": "s", "frequency": "Hz"}[domain]
         places = [p for p in self.last.values() if p.where_unit == unit]
         return min((p.within(*span) for p in places), key=lambda d: d.p_value)
@@ -162,84 +153,32 @@ def compared(
     others: tuple[Mapping[str, Stage], Mapping[str, Stage]],
     auxiliary: Mapping[str, Float[np.ndarray, " n"]],
 ) -> Comparison:
-    """Comparison of an axis with simulations, at the stages before the first finding and after each.
+    """Comparison of an axis with simulations, without any finding and with all of them.
 
     Args:
-        stages: the axis at these stages.
-        raw: its samples as recorded [SI], without missing ones, before the first finding and after the last;
-            then with imputed ones if a finding explains their distribution, such as rounding.
-        others: other axes by name, at their first stage and at their last.
+        stages: the axis without any finding, and with all of them if there are some.
+        raw: its samples as recorded [SI], without missing ones, at both stages; at the second with imputed
+            ones if a finding explains their distribution, such as rounding.
+        others: other axes by name, at both stages.
         auxiliary: other channels by name; those that are constant or not finite do not count.
     """
     other = {name: np.asarray(h, float) for name, h in auxiliary.items()}
     channels = {k: centred(h) for k, h in other.items() if np.isfinite(h).all() and np.ptp(h) > 0.0}
     step = lattice(raw[0])
     steps = step, step if raw[1] is raw[0] else lattice(raw[1])
-    profiles: list[Profile] = []
-    pairs, drifts, free, ends = [], [], [], []
+    free, ends, last = [], [], dict[str, Profile]()
     for k, stage in enumerate(stages):
-        former = profiles
-        if k:
-            stage.reuse(stages[k - 1])
         profiles = profiles_of(stage, channels)
-        if k:
-            pairs.append(_improved(former, profiles))
-            drifts.append(_drift_change(stages[k - 1], stage))
-            # Other axes need the transforms of the first stage and of the last.
-            stages[k - 1].forget(keep_transform=k == 1)
-        if k in (0, len(stages) - 1):
-            free.append(descriptions(stage, steps[min(k, 1)]))
-            worst = (p.worst() for p in (*profiles, autocorrelation(stage)))
-            ends.append([*worst, *of_samples(stage, raw[min(k, 1)], steps[min(k, 1)])])
-    stages[-1].forget(keep_transform=True)
-    before, after = (
-        sorted(
-            [*found, cross_correlation(stage, axes).worst()] if axes else found,
-            key=lambda d: _ORDER.index(d.statistic),
-        )
-        for found, stage, axes in zip((ends[0], ends[-1]), (stages[0], stages[-1]), others, strict=True)
-    )
-    last = {p.statistic: p for p in profiles if p.extent}
-    return Comparison(tuple(before), tuple(after), pairs, drifts, last, tuple(free))
-
-
-def _improved(
-    before: Sequence[Profile], after: Sequence[Profile]
-) -> tuple[tuple[Discrepancy, Discrepancy], ...]:
-    """Pairs of a statistic at two stages, at the place of the largest improvement."""
-    pairs = []
-    for old, new in zip(before, after, strict=True):
-        # A finding has a drift of its own.
-        if old.statistic == "drift":
-            continue
-        change = old.score**2
-        change -= new.score**2
-        place = int(np.argmax(change))
-        pairs.append((old.at(place), new.at(place)))
-    return tuple(pairs)
-
-
-def _drift_change(before: Stage, after: Stage) -> DriftChange | None:
-    """Drift of the record and of simulations before and after a finding; None if the record is too short.
-
-    It is given at the time at which the finding changes that of simulations most. What the finding subtracts
-    from the samples is in the record still, and so it is added to the simulations after it.
-    """
-    sizes = drift_sizes(before.n, before.rate)
-    count = np.count_nonzero(sizes <= _SHARE * before.n)
-    if count == 0:
-        return None
-    weights = allan_weights(before.n, tuple(sizes.tolist()))
-    old, _, measured, _ = before.sums
-    new = after.sums[0]
-    if not before.same_record(after):
-        path = before.residual - after.residual
-        new = new + np.add.reduceat(path * path, narrow_bins(before.n)[:-1] - 1)
-    scale, unit = drift_scale(before, sizes)
-    drifts = (scale * np.sqrt(np.stack([measured, old, new]) @ weights.T))[:, :count]
-    k = int(np.argmax(abs(np.log(np.maximum(drifts[2], 1e-300) / np.maximum(drifts[1], 1e-300)))))
-    record, was, now = map(float, drifts[:, k])
-    return DriftChange(float(sizes[k] / before.rate), record, was, now, unit)
+        last = {p.statistic: p for p in profiles if p.extent}
+        free.append(descriptions(stage, steps[k]))
+        profiles.append(autocorrelation(stage))
+        if others[k]:
+            profiles.append(cross_correlation(stage, others[k]))
+        found = [*(p.worst() for p in profiles), *of_samples(stage, raw[k], steps[k])]
+        ends.append(sorted(found, key=lambda d: _ORDER.index(d.statistic)))
+        # Other axes need the transform.
+        stage.forget(keep_transform=True)
+    return Comparison(tuple(ends[0]), tuple(ends[-1]), last, tuple(free))
 
 
 #: Statistics by the domain in which they show a discrepancy, the one that places it best first.
@@ -486,10 +425,8 @@ def _unexplained(
     # A statistic without places has none.
     known = {k: parameter_estimate(axis, k, x, 0.0, unit) for k, (x, unit) in numbers.items() if unit}
     details: dict[str, Detail] = {"domain": domain, "statistic": worst.statistic}
-    stages = -1, -1
+    main = max(members, key=lambda f: f.gain or 0.0, default=None)
     if doubts:
-        # From the first of these findings on: they are hardly apart.
-        stages = min(f.stages[0] for f in members), max(f.stages[1] for f in members)
         resembles = tuple(dict.fromkeys(f.cause for f in members))
         details |= {"resembles": resembles, "reason": doubts[0].reason}
     return Finding(
@@ -502,9 +439,9 @@ def _unexplained(
         (),
         place or (0.0, stage.n / stage.rate if in_time else 0.5 * stage.rate),
         "time" if in_time else "frequency",
-        discrepancies=((worst, worst),),
+        is_event=main.is_event if main else domain in ("level", "bias"),
+        change=main.change if main else None,
+        rest=worst,
         details=details,
-        coefficients=members[0].coefficients if members else (),
-        drift=members[0].drift if members else None,
-        stages=stages,
+        stage=main.stage if main else -1,
     )

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import contextlib
-import ctypes
 import dataclasses
 import traceback
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import TypeVar
@@ -14,8 +12,10 @@ from typing import TypeVar
 import numpy as np
 from jaxtyping import Float
 
+from allanjax.base.cache import release_memory
 from allanjax.base.errors import AllanjaxError, FitError
 from allanjax.base.wording import duration, finite_or_none, plain
+from allanjax.critic.change import change_of, without
 from allanjax.critic.common_mode import NAME, common_mode
 from allanjax.critic.comparison import CERTAIN, Comparison, compared, reported
 from allanjax.critic.effect import EVERYTHING, Effect, View, elsewhere, places_in
@@ -25,10 +25,10 @@ from allanjax.critic.policy import judged
 from allanjax.critic.result import AxisCritique, Critique
 from allanjax.critic.search import AcceptanceRule, Search, concluded, going_on, search
 from allanjax.critic.stage import Stage
-from allanjax.critic.step import coefficient_changes
 from allanjax.estimate.deterministic import lines_of, take_out_lines, without_lines
 from allanjax.estimate.fit import fit_inspected
 from allanjax.estimate.result import Fit
+from allanjax.estimate.spectral.as_model import shape_of
 from allanjax.inspection import Inspection, inspect
 from allanjax.inspection.facts import NOT_A_MEASUREMENT, Fact
 from allanjax.noise.model import Model
@@ -40,8 +40,6 @@ from allanjax.spectrum.cosine import fast_length
 
 _T = TypeVar("_T")
 
-# Statistics of the samples themselves, by the cause that explains each.
-_IN_SAMPLES = {"rounding": "lattice", "repeated_samples": "repeated_values"}
 _SHORTEST = int(judged("search", "shortest"))
 # Number of axes processed at a time: each takes some twenty times the memory of its samples.
 _WORKERS = 2
@@ -61,41 +59,42 @@ def criticize(
     per_axis = false_alarms / len(recording.axes)
 
     failed: dict[str, DeadAxis] = {}
-    searches, fit = _searches(recording, seen, given, effects, per_axis, tell, failed)
+    searched, fit = _searches(recording, seen, given, effects, per_axis, tell, failed)
     recording = _left(recording, failed)
-    stages = [_stages(s) for s in searches]
+    searches, stages = zip(*searched, strict=True)
+    events = {effect.name for effect in effects if effect.is_event}
 
     # Axes are compared with others at the first and the last stage.
     first, last = ([of_axis[stage] for of_axis in stages] for stage in (0, -1))
-    with ThreadPoolExecutor(_WORKERS) as pool:
-        list(pool.map(_whitened, [*first, *last]))
     shared = tuple(common_mode(last, AcceptanceRule(per_axis).level(NAME)))
 
-    def judged(k: int) -> AxisCritique:
+    def told(k: int) -> AxisCritique:
+        """Critique of an axis."""
         s, axis = searches[k], searches[k].start.axis
         result = fit[axis.name]
         raw = s.start.recorded(s.start.raw)
-        others = [{w.axis.name: w for w in ends if w is not ends[k]} for ends in (first, last)]
+        others = [{w.axis.name: w for w in every if w is not every[k]} for every in (first, last)]
         seen = raw, s.end.recorded(s.end.samples) if s.preprocessed else raw
         tell(f"{axis.name}: comparing the measurement with simulations")
-        made = compared(stages[k], seen, (others[0], others[1]), recording.auxiliary)
+        own = stages[k]
+        made = compared((own[0], own[-1])[: len(own)], seen, (others[0], others[1]), recording.auxiliary)
         # Other channels have a cause in common, or imputed samples were drawn by a simple rule.
         ignored = ["channels"] * any(axis.name in f.axes for f in shared) + ["values"] * s.preprocessed
         reasons = [step.candidate.doubt for step in s.steps]
-        findings = tuple(reported(_findings(s, made), reasons, stages[k][0], made, ignored))
+        findings = tuple(reported(_findings(s, own, made, events), reasons, own[0], made, ignored))
         # The fit may have failed because of an effect.
         baseline = result.model if result.converged else basic_model(s.start)
         model, left_out = extended(s)
         if given is not None and not given.chosen and (further := further_terms(given[axis.name].model)):
             model = model + further
         # Copies, as other axes still need what these have computed.
-        own_stages = tuple(map(dataclasses.replace, stages[k]))
-        told = findings, made.before, made.after, s.tests, own_stages, baseline, model
-        own = None if s.start.samples is s.start.raw else s.start.raw - s.start.samples
-        return AxisCritique(axis, *told, result.misfit, left_out, own)
+        copies = tuple(map(dataclasses.replace, own))
+        of_given = None if s.start.samples is s.start.raw else s.start.raw - s.start.samples
+        ends = findings, made.before, made.after, s.tests, copies, baseline, model
+        return AxisCritique(axis, *ends, result.misfit, left_out, of_given)
 
     with ThreadPoolExecutor(_WORKERS) as pool:
-        found = tuple(pool.map(_guarded(judged, recording.axes, failed), range(len(searches))))
+        found = tuple(pool.map(_guarded(told, recording.axes, failed), range(len(searches))))
     _left(recording, failed)
     notes = [*fit.notes]
     if recording.others:
@@ -121,10 +120,7 @@ def _guarded(
     def attempt(k: int) -> _T | None:
         if axes[k].name in failed:
             return None
-        # Freed arrays of several megabytes leave gaps that later ones of other lengths do not fill: glibc,
-        # where it is the C library, returns them to the system.
-        with contextlib.suppress(OSError, AttributeError):
-            ctypes.CDLL("libc.so.6").malloc_trim(0)
+        release_memory()
         try:
             return work(k)
         except (MemoryError, OSError):
@@ -148,7 +144,7 @@ def _left(recording: Recording, failed: Mapping[str, DeadAxis]) -> Recording:
     """The recording without axes whose critique failed; FitError if no axis is left."""
     left = [name for name in recording.names if name not in failed]
     if not left:
-        reasons = "; ".join(f"{name}: {axis.reason}" for name, axis in failed.items())
+        reasons = "; ".join(f"{name}: {failed[name].reason}" for name in recording.names)
         raise FitError(f"{recording.name or 'the recording'}: {reasons}")
     return dataclasses.replace(recording.select(*left), dead=recording.dead)
 
@@ -186,18 +182,24 @@ def _searches(
     false_alarms: float,
     tell: Callable[[str], None],
     failed: dict[str, DeadAxis],
-) -> tuple[list[Search], Fit]:
-    """Searches in all axes except those that `failed`, and the fit from which the critique starts."""
+) -> tuple[list[tuple[Search, tuple[Stage, ...]]], Fit]:
+    """Searches and stages of all axes except those that `failed`; the fit from which the critique starts."""
 
     rule = AcceptanceRule(false_alarms, effects)
+    fit = _baseline(recording, seen, tell) if given is None else given
 
     def searched(k: int) -> Search:
-        """Search in one axis, starting from the given model."""
-        baseline = None if given is None or given.chosen else (given.results[k].model, given.template)
-        return search(_first_view(recording, k, baseline), rule, tell)
+        """Search in one axis, starting from its fit."""
+        found = fit.results[k]
+        baseline = None if fit.chosen else (found.model, fit.template)
+        view = _first_view(recording, k, baseline)
+        # A structure that is off somewhere would be inherited.
+        if found.fits and found.own_template is not None:
+            view = dataclasses.replace(view, fitted=shape_of(found.model, recording.rate))
+        return search(view, rule, tell)
 
-    def concluding(k: int) -> Search:
-        """Search in an axis, also at the places of findings in other axes."""
+    def concluding(k: int) -> tuple[Search, tuple[Stage, ...]]:
+        """Search in an axis, also at the places of findings in other axes, and its stages."""
         others = elsewhere(places[k], [place for i, own in places.items() if i != k for place in own])
         there = [
             effect.at(own)
@@ -205,18 +207,22 @@ def _searches(
             if (own := [place for place in others if place.effect == effect.name])
         ]
         state = going_on(states[k], there, rule, tell) if there else states[k]
-        return concluded(state, effects)
+        found = concluded(state, effects)
+        stages = _stages(found)
+        for stage in (stages[0], stages[-1]):
+            # Other axes are compared with it.
+            _ = stage.whitened_coefficients
+            stage.forget(keep_transform=True)
+        return found, stages
 
-    # Transforms and compiled functions, which do most of the work, run in parallel. If the terms are chosen,
-    # the search needs no fit: the fit is for the report.
+    # Transforms and compiled functions, which do most of the work, run in parallel.
     with ThreadPoolExecutor(_WORKERS) as pool:
-        fitting = pool.submit(lambda: _baseline(recording, seen, tell) if given is None else given)
         found = pool.map(_guarded(searched, recording.axes, failed), range(len(recording.axes)))
         states = {k: state for k, state in enumerate(found) if state is not None}
         places = {k: places_in(state.end, (s.candidate for s in state.steps)) for k, state in states.items()}
         searches = list(pool.map(_guarded(concluding, recording.axes, failed), range(len(recording.axes))))
-    # The critique searches for filters, resonances and lines itself.
-    return [s for s in searches if s is not None], fitting.result().without_extensions()
+    # What a user would simulate is the plain model.
+    return [s for s in searches if s is not None], fit.without_extensions()
 
 
 def _check(recording: Recording, given: Fit | None, false_alarms: float) -> None:
@@ -244,10 +250,10 @@ def _check(recording: Recording, given: Fit | None, false_alarms: float) -> None
 
 
 def _baseline(recording: Recording, seen: Inspection, tell: Callable[[str], None]) -> Fit:
-    """Fit of the Allan variances, or of the spectrum if that does not converge."""
+    """Fit with filters and resonances; of the plain terms by the spectrum if that does not converge."""
     tell("fitting the noise model")
-    # Effects in the recording are the subject of the search.
-    fit = fit_inspected(recording, seen, None, "allan", plain=True, as_is=True)
+    # Events in the recording are the subject of the search.
+    fit = fit_inspected(recording, seen, None, "allan", as_is=True)
     if all(result.converged for result in fit.results):
         return fit
     # If an effect dwarfs the noise, the fit of Allan variances may fail; that of the spectrum is robust.
@@ -255,31 +261,27 @@ def _baseline(recording: Recording, seen: Inspection, tell: Callable[[str], None
 
 
 def _stages(s: Search) -> tuple[Stage, ...]:
-    """The axis before the first finding and after each finding."""
-    stages = []
-    # The last stage is without all lines, as some harmonics, which are one finding, may have come late.
-    for view in (s.start, *(step.candidate.after for step in s.steps[:-1]), *([s.end] if s.steps else [])):
-        noise, slope = view.noise, view.slope
-        view.forget()
-        own = noise.power, noise.index, slope if np.isfinite(slope) else 0.0
-        stages.append(Stage(view.axis, view.samples, view.rate, *own, view.factor, view.imputed))
-    return tuple(stages)
+    """The axis without any finding, without each of them, and with all; only the first if there is none."""
+    first = _stage(s.start)
+    if not s.steps:
+        return (first,)
+    last = _stage(s.end)
+    return (first, *(without(step, last) for step in s.steps), last)
 
 
-def _whitened(stage: Stage) -> None:
-    """Compute the whitened coefficients, for other axes, and keep nothing else."""
-    _ = stage.whitened_coefficients
-    stage.forget(keep_transform=True)
+def _stage(view: View) -> Stage:
+    """The axis as a view has it."""
+    noise, slope = view.noise, view.slope
+    view.forget()
+    own = noise.power, noise.index, slope if np.isfinite(slope) else 0.0
+    return Stage(view.axis, view.samples, view.rate, *own, view.factor, view.imputed)
 
 
-def _findings(s: Search, made: Comparison) -> list[Finding]:
-    """Findings of an axis, with what is compared before and after each of them."""
-    before, after = ({d.statistic: d for d in found} for found in (made.before, made.after))
+def _findings(s: Search, stages: Sequence[Stage], made: Comparison, events: Collection[str]) -> list[Finding]:
+    """Findings of an axis, with what each alone changes; `events` are the causes that happen in a record."""
     findings = []
-    for k, (step, pairs, drift) in enumerate(zip(s.steps, made.pairs, made.drifts, strict=True)):
+    for k, step in enumerate(s.steps, 1):
         candidate, view = step.candidate, step.before
-        if statistic := _IN_SAMPLES.get(candidate.cause):
-            pairs = (*pairs, (before[statistic], after[statistic]))
         start, end = candidate.support
         span = float(start), float(end if np.isfinite(end) else view.duration)
         # An effect on the entire record has no place of its own.
@@ -294,13 +296,13 @@ def _findings(s: Search, made: Comparison) -> list[Finding]:
             rivals=step.rivals,
             span=span,
             domain=candidate.domain,
+            is_event=candidate.cause in events,
+            change=change_of(stages[-1], stages[k], candidate.has_waveform),
             details=candidate.details,
-            coefficients=coefficient_changes(step),
-            drift=drift,
-            discrepancies=pairs,
             rest=rest if rest and rest.p_value < CERTAIN else None,
-            stages=(k, k + 1),
+            stage=k,
         )
+        stages[k].forget()
         findings.append(found)
     return findings
 

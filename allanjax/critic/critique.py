@@ -29,17 +29,20 @@ def critique(
 ) -> Critique:
     """Find out what a simulation of the fitted noise model gets wrong, why, and how much a correction gains.
 
-    Every axis is whitened by its model, and each cause searches the residuals for its signature with the best
-    filter for it. Competing explanations, including other basic noise terms, are compared by their evidence.
-    The best one is accepted if it is significant and predicts data from which it was not estimated; it is
-    subtracted, and the search starts again. Earlier findings are refitted if the new one affects them, and
-    dropped if nothing remains of them. Disturbed parts at the beginning and the end of the recording are left
-    out, see `inspect`. See `allanjax.critic` for adding your own effects.
+    The first extension of the plain noise model is what the fit has found besides its terms: a filter,
+    resonances and lines. Every axis is then whitened by its model, and each cause searches the residuals for
+    its signature with the best filter for it. Competing explanations, including other basic noise terms, are
+    compared by their evidence. The best one is accepted if it is significant and predicts data from which it
+    was not estimated; it is subtracted, and the search starts again. Earlier findings are refitted if the new
+    one affects them, and dropped if nothing remains of them. At last each finding is told by what it alone
+    changes (`Finding.change`): what the sensor is, and what happened. Disturbed parts at the beginning and
+    the end of the recording are left out, see `inspect`. See `allanjax.critic` for your own effects.
 
     Args:
         recording: a recording from `read`, or anything else that `allanjax.fit` accepts.
-        fit: the baseline; by default `fit(recording)`. If its terms were given, basic terms that it lacks
-            are effects, too; if they were chosen, they are chosen again with every finding.
+        fit: the fit from which the critique starts; by default `fit(recording)`. If its terms were given,
+            basic terms that it lacks are effects, too; if they were chosen, they are chosen again with every
+            finding.
         effects: effects to look for; by default `allanjax.critic.effects.EFFECTS`.
         false_alarms: probability of any finding in a recording without an effect, shared by its axes. Basic
             terms that a given model lacks have the same probability in addition (`critic.search`).

@@ -67,6 +67,7 @@ class View:
         drawn: whether each sample was missing and has been filled in.
         imputed: whether each sample was filled in and carries no information; the `drawn` ones and others.
         found: effects detected so far.
+        fitted: filter and resonances of the fit from which the critique starts, if it has any.
         structure: the detected filter and resonances, with the noise fitted jointly.
         nuisances: coefficients of subtracted waveforms, whose amplitudes are nuisances.
     """
@@ -82,6 +83,7 @@ class View:
     drawn: Bool[np.ndarray, " n"]
     imputed: Bool[np.ndarray, " n"]
     found: tuple[str, ...] = ()
+    fitted: Structure | None = None
     structure: Structure | None = None
     nuisances: tuple[Float[np.ndarray, " slow"], ...] = ()
 
@@ -490,6 +492,8 @@ class Effect(ABC):
     name: str
     #: Whether it is visible directly in the samples and must be undone before the search for others.
     is_preprocessing: ClassVar[bool] = False
+    #: Whether it happened in a record; other effects are properties of the sensor.
+    is_event: ClassVar[bool] = False
     #: When it is refitted if later findings change its conditions: "at once", if its misfit would be mistaken
     #: for other effects, or "at last".
     refit: ClassVar[Literal["", "at once", "at last"]] = ""

@@ -104,8 +104,8 @@ def numbers_in(details: Mapping[str, Detail], name: str) -> list[float]:
 
 #: Cause of a discrepancy that no known effect explains.
 UNEXPLAINED = "unexplained"
-#: Coefficients whose change measures a finding's effect, beside the drift and the Allan deviation.
-MAIN_COEFFICIENTS = ("angle_random_walk", "rate_random_walk")
+#: Share of the Allan variance that is notable, and gain [nats] from which a finding is told in any case.
+NOTABLE, TELLING = judged("telling", "share"), judged("telling", "nats")
 # Parameters that may be the size of an effect in an axis; the first one of a finding counts.
 _SIZES = (
     *("amplitude", "coefficient", "peak", "scale", "step", "ratio", "bandwidth"),
@@ -116,6 +116,7 @@ _SIZES = (
 _TITLES = {
     "common_mode": "shared noise",
     "event": "outlier event",
+    "level": "varying level",
     "low_pass": "low-pass filter",
     "markov": "Gauss-Markov process",
     "power_law": "power-law noise",
@@ -164,59 +165,36 @@ class Rival(NamedTuple):
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
-class CoefficientChange(ByValue):
-    """A basic coefficient before and after a finding, in `unit`; nan if its term is not in the model."""
+class Change(ByValue):
+    """What a finding alone changes: the noise with it and without it, the rest of the model held.
 
-    label: str
-    before: float
-    after: float
-    unit: str
-
-
-@dataclasses.dataclass(frozen=True, eq=False)
-class DriftChange(ByValue):
-    """RMS drift over a `horizon` [s]: of the record, and of simulations before and after a finding.
-
-    The drift is the integrated rate, less the integral of the mean rate over an equally long time before. It
-    shows what the finding changes and is no test of it, as the model was fitted to the same record; the gain
-    is on held-out data. What the finding subtracts from the record is added to the simulations after it.
+    A share is |with − without| over the larger of the two; it is negative if the finding lowers the noise, as
+    a filter does. The measured noise without a finding has chance in common with that with it.
 
     Attributes:
-        horizon: the time at which the finding changes the drift of simulations most, up to an eighth of the
-            record [s].
-        measured: drift of the record less the earlier findings and the ramp of the model before this one.
-        before, after: drift of simulations.
-        unit: unit of these three.
+        share, time: largest share of the Allan variance, and its cluster time [s].
+        first, last: cluster times between which the share is notable (`NOTABLE`) [s]; nan if it is nowhere.
+        density, frequency: largest share of the PSD in a sixth of an octave, and where [Hz].
     """
 
-    horizon: float
-    measured: float
-    before: float
-    after: float
-    unit: str
+    share: float
+    time: float
+    first: float
+    last: float
+    density: float
+    frequency: float
 
-
-class Impact(NamedTuple):
-    """The largest relative change by a finding in a quantity that simulations are used for.
-
-    Attributes:
-        size: the larger value over the smaller one, less 1; 1 if a term is added or removed.
-        quantity: "angle_random_walk", "rate_random_walk", "drift" or "allan_deviation"; "sum" for shared
-            noise, which changes the standard deviation of the sum of two axes; "" for none.
-        time: time of the drift, or cluster time of the Allan deviation [s]; otherwise nan.
-    """
-
-    size: float
-    quantity: str
-    time: float = float("nan")
+    @property
+    def size(self) -> float:
+        """Magnitude of the share of the Allan variance."""
+        return abs(self.share)
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Finding(ByValue):
     """A detected cause, and the gain from including it in the model.
 
-    A finding in several axes has `members`. Its coefficients, drift and discrepancies are then those of the
-    most affected axis, `shown`.
+    A finding in several axes has `members`. Its change is then that of the most affected axis, `shown`.
 
     Attributes:
         cause: name of the cause, see `causes`; "event" for outliers of several axes at one time.
@@ -229,14 +207,14 @@ class Finding(ByValue):
             tested on held-out data, or is included in that of another finding.
         rivals: other causes against which its odds are below 1000.
         span, domain: start and end, in s ("time") or Hz ("frequency").
-        coefficients: changes of the basic coefficients.
-        drift: change of the drift of simulations.
-        discrepancies: pairs of a statistic before and after this finding, where it improved most.
-        rest: discrepancy that is significant at its own place after all findings, which it explains in part.
+        is_event: whether it happened in this record; other findings are what the sensor is.
+        change: what it alone changes; None for shared noise, and for what is unexplained and not described.
+        rest: discrepancy that is significant at its own place after all findings, which it explains in part;
+            of something unexplained the discrepancy that it is about.
         details: words and lists of numbers by name: a channel, the times of outliers, harmonics.
         members: the findings of single axes that it combines.
         per_axis: its size in each axis, if it has members; see `amplitudes`.
-        stages: numbers of the stages before and after it, in `stages` of its axis.
+        stage: number of the stage without it in `stages` of its axis; −1 if there is none.
     """
 
     cause: str
@@ -248,14 +226,13 @@ class Finding(ByValue):
     rivals: tuple[Rival, ...]
     span: tuple[float, float]
     domain: str
-    coefficients: tuple[CoefficientChange, ...] = ()
-    drift: DriftChange | None = None
-    discrepancies: tuple[tuple[Discrepancy, Discrepancy], ...] = ()
+    is_event: bool = False
+    change: Change | None = None
     rest: Discrepancy | None = None
     details: Mapping[str, Detail] = dataclasses.field(default_factory=dict)
     members: tuple[Finding, ...] = ()
     per_axis: Mapping[str, Estimate] = dataclasses.field(default_factory=dict)
-    stages: tuple[int, int] = (-1, -1)
+    stage: int = -1
 
     @property
     def size(self) -> Estimate | None:
@@ -287,24 +264,13 @@ class Finding(ByValue):
     @property
     def strongest(self) -> Finding:
         """The member with the largest effect, or the finding itself."""
-        return max(self.members, key=lambda f: (f.impact.size, f.gain or 0.0), default=self)
+        return max(self.members, key=_effect, default=self)
 
     @property
-    def impact(self) -> Impact:
-        """The largest relative change of N, K, the drift or the Allan deviation in any axis."""
-        main = (c for c in self.coefficients if c.label in MAIN_COEFFICIENTS)
-        found = [Impact(_change(c.before, c.after), c.label) for c in main]
-        if self.drift is not None:
-            found.append(Impact(_change(self.drift.before, self.drift.after), "drift", self.drift.horizon))
-        for before, after in self.discrepancies:
-            if before.statistic == "allan_deviation":
-                # Reduction of the simulation's error, as subtraction also changes the measured value.
-                off, left = (1.0 + _change(d.measured, d.simulated) for d in (before, after))
-                found.append(Impact(max(off / left - 1.0, 0.0), "allan_deviation", before.where))
-        if "correlation" in self.parameters and len(self.axes) > 1:
-            r = abs(self.parameters["correlation"].value)
-            found.append(Impact(float(np.sqrt(1.0 + r)) - 1.0, "sum"))
-        return max(found, key=lambda impact: impact.size, default=Impact(0.0, ""))
+    def is_weak(self) -> bool:
+        """Whether it changes the Allan variance nowhere by a notable share, and gains little."""
+        tells_little = self.gain is not None and self.gain < TELLING
+        return tells_little and self.change is not None and self.change.size < NOTABLE
 
     @presented
     def __str__(self) -> str:
@@ -320,18 +286,15 @@ def cause_title(cause: str, sensor: Sensor) -> str:
     return _TITLES.get(cause) or title_of(cause, sensor)
 
 
-def _change(before: float, after: float) -> float:
-    """Factor between two values, less one; 1 if one of them is missing, 0 if both are."""
-    known = [value for value in (before, after) if np.isfinite(value) and value > 0.0]
-    if len(known) < 2:
-        return float(len(known))
-    return max(known) / min(known) - 1.0
+def _effect(f: Finding) -> tuple[float, float]:
+    """Share of the Allan variance and gain of a finding, by which findings are ranked."""
+    return 0.0 if f.change is None else f.change.size, f.gain or 0.0
 
 
 # --- Findings of a recording, each cause once ---------------------------------------------------------------
 
-#: Names of the cause of single samples, and of an event of such samples only.
-OUTLIERS, EVENT = "outliers", "event"
+#: Names of the cause of single samples, of an event of such samples only, and of noise whose level varies.
+OUTLIERS, EVENT, LEVEL = "outliers", "event", "level"
 # Causes that are events if they are short, and names of the events of which they are a part.
 _STRETCHES = ("disturbance", "variance_change")
 # Parameters that the axes have in common; all others belong to one axis.
@@ -349,6 +312,7 @@ _NESTED, _SAME, _ALIKE = (judged("event", name) for name in ("nested", "same", "
 _NARROW, _STEADY, _ORDERS, _BY_CHANCE = (
     judged("line", name) for name in ("quality", "steady", "orders", "near")
 )
+_SMALL = judged("level", "small")
 _FILTER, _DAMPING, _WARMING = (judged(cause, "same") for cause in ("low_pass", "resonance", "warm_up"))
 _AT_ONCE, _APART = judged("bias_step", "at once"), judged("bias_step", "apart")
 
@@ -356,16 +320,21 @@ _AT_ONCE, _APART = judged("bias_step", "at once"), judged("bias_step", "apart")
 def merged(
     findings: Sequence[Finding], of_several: Sequence[Finding], duration: float
 ) -> tuple[Finding, ...]:
-    """Findings of a record of this length [s], by their change, from those of single and of several axes."""
+    """Findings of a record of this length [s] from those of single and of several axes.
+
+    What the sensor is comes first, then what happened, each by the change that it makes, and at last what is
+    unexplained.
+    """
     found = [*_families(_with_events(findings, duration), duration), *of_several]
-    return tuple(sorted(found, key=lambda f: (f.cause == UNEXPLAINED, -f.impact.size, -_weight(f))))
+    found.sort(key=_effect, reverse=True)
+    return tuple(sorted(found, key=lambda f: (f.cause == UNEXPLAINED, f.is_event)))
 
 
 def _families(findings: Sequence[Finding], duration: float) -> Iterator[Finding]:
     """Findings, with those that are one joined."""
     kinds: dict[tuple[str, str], list[Finding]] = {}
     for f in findings:
-        kinds.setdefault(_kind(f, findings), []).append(f)
+        kinds.setdefault(_kind(f, findings, duration), []).append(f)
     for (name, _), alike in kinds.items():
         rule = RULES.get(name, _ALONE)
         # The strongest finding comes first, but of lines the lowest, which may be the fundamental of others.
@@ -394,8 +363,8 @@ def together(members: Sequence[Finding]) -> Finding:
     """Several findings joined into one, with the parameters that they have in common.
 
     The p-value is the smallest one times their number; evidence and gain are sums, as the findings are in
-    different axes or were found one after the other. Rivals are those of all of them. Coefficients, drift and
-    discrepancies are those of the finding with the largest impact.
+    different axes or were found one after the other. Rivals are those of all of them. The change is that of
+    the finding with the largest one.
     """
     # Of a finding that is split, one part has these.
     counted = [f for f in members if (f.p_value, f.evidence, f.gain) != (None, None, None)] or members
@@ -411,7 +380,7 @@ def together(members: Sequence[Finding]) -> Finding:
     amplitudes = (size for f in members for size in f.amplitudes.items())
     sizes = dict(sorted(amplitudes, key=lambda size: (size[1].unit != "1", abs(size[1].value))))
     return dataclasses.replace(
-        max(counted, key=lambda f: (f.impact.size, _weight(f))),
+        max(counted, key=_effect),
         cause=members[0].cause,
         axes=axes,
         parameters=_means(members),
@@ -424,7 +393,7 @@ def together(members: Sequence[Finding]) -> Finding:
         details={name: x for name, x in members[0].details.items() if name == "channel"},
         members=tuple(made for f in members for made in f.members or (f,)),
         per_axis={axis: sizes[axis] for axis in axes if axis in sizes},
-        stages=(-1, -1),
+        stage=-1,
     )
 
 
@@ -547,7 +516,7 @@ def _part(f: Finding, places: Int[np.ndarray, " some"], is_home: bool, is_event:
         details={**f.details, **details},
         members=(f,),
         per_axis=sizes,
-        stages=(-1, -1),
+        stage=-1,
     )
 
 
@@ -579,8 +548,11 @@ class Rule(NamedTuple):
     grows: bool = False
 
 
-def _kind(f: Finding, findings: Sequence[Finding]) -> tuple[str, str]:
+def _kind(f: Finding, findings: Sequence[Finding], duration: float) -> tuple[str, str]:
     """Rule of a finding, and what else findings must have in common to be one: a sensor or a channel."""
+    ratio = _ratio(f)
+    if ratio is not None and abs(np.log(ratio.value)) < _SMALL and np.ptp(f.span) > _SHORT * duration:
+        return LEVEL, ""
     if f.cause in _STRETCHES:
         return "stretch", ""
     if f.cause == "resonance" and "quality_factor" in f.parameters:
@@ -692,7 +664,7 @@ def _line(members: Sequence[Finding]) -> Finding:
 
 
 def _stretch(members: Sequence[Finding]) -> Finding:
-    """One event, with the times of the strongest finding, and the changes from the first to the last."""
+    """One event, with the times of the strongest finding."""
     whole, first = _event(members), max(members, key=_weight)
     sizes = dict(whole.per_axis)
     for axis, size in whole.per_axis.items():
@@ -702,13 +674,33 @@ def _stretch(members: Sequence[Finding]) -> Finding:
             ratio = float(np.prod([e.value for e in each]))
             std = ratio * float(np.linalg.norm([e.std / e.value for e in each]))
             sizes[axis] = _changed(size, ratio, std, max(map(side_of_limit, each), key=bool))
-    changes = [c for f in whole.members if f.axes == whole.strongest.axes for c in f.coefficients]
-    before, after = {c.label: c for c in reversed(changes)}, {c.label: c.after for c in changes}
+    times = _means([f for f in members if _overlap(first, f) > _ALIKE])
+    return dataclasses.replace(whole, parameters=times, per_axis=sizes)
+
+
+def _ratio(f: Finding) -> Estimate | None:
+    """Ratio of amplitudes by which the level of the noise differs for a while; None for other findings."""
+    if f.cause == "variance_change":
+        return f.size
+    if f.cause != UNEXPLAINED or f.details["domain"] != LEVEL or f.rest is None:
+        return None
+    axis = next(iter(f.parameters.values())).axis
+    # That of the level which a finding without a cause is about is one of powers.
+    ratio = float(np.sqrt(f.rest.measured / f.rest.simulated))
+    return parameter_estimate(axis, "ratio", ratio, np.nan, "1")
+
+
+def _level(members: Sequence[Finding]) -> Finding:
+    """Small changes of the level as one finding: the level varies, by the largest of them in each axis."""
+    sizes: dict[str, Estimate] = {}
+    for f in members:
+        ratio = _ratio(f)
+        known = sizes.get(f.axes[0])
+        if ratio and (known is None or abs(np.log(ratio.value)) > abs(np.log(known.value))):
+            sizes[f.axes[0]] = ratio
+    whole = together(members)
     return dataclasses.replace(
-        whole,
-        parameters=_means([f for f in members if _overlap(first, f) > _ALIKE]),
-        per_axis=sizes,
-        coefficients=tuple(dataclasses.replace(before[label], after=x) for label, x in after.items()),
+        whole, cause=LEVEL, parameters={}, per_axis=sizes, rest=None, details={}, rivals=(), is_event=True
     )
 
 
@@ -717,15 +709,14 @@ def _unexplained(members: Sequence[Finding]) -> Finding:
     whole = together(members)
     own = whole.strongest
     places = {name: e for name, e in own.parameters.items() if name in _PLACES}
-    return dataclasses.replace(
-        whole, parameters=places, discrepancies=own.discrepancies, details=own.details, span=own.span
-    )
+    return dataclasses.replace(whole, parameters=places, rest=own.rest, details=own.details, span=own.span)
 
 
 #: Rules for findings that are reported once for several axes.
 RULES: Mapping[str, Rule] = {
     "line": Rule(_same_line, _line),
     "stretch": Rule(_same_stretch, _stretch, grows=True),
+    LEVEL: Rule(combine=_level),
     "low_pass": Rule(lambda one, other, _: _similar(one, other, "bandwidth", 1.0 + _FILTER)),
     "resonance": Rule(_same_resonance),
     UNEXPLAINED: Rule(lambda one, other, _: _overlap(one, other) > _SAME, _unexplained),

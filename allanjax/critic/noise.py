@@ -17,6 +17,7 @@ from jaxtyping import Bool, Float, Int
 
 from allanjax.estimate.design import correlation_times
 from allanjax.estimate.evidence import TermSets, evidence, term_sets
+from allanjax.estimate.spectral import as_model
 from allanjax.estimate.spectral import components as kinds
 from allanjax.estimate.spectral import model as structures
 from allanjax.estimate.spectral.components import columns_of
@@ -359,8 +360,7 @@ def spectrum_factor(
     frequency, own = family.frequency[knots], [structure.components[k] for k in structure.there]
     each = np.stack(
         [
-            rate
-            * np.asarray(structures.term_of(structure, k, rate).sampled(rate).sampled_psd(frequency, rate))
+            rate * np.asarray(as_model.term_of(structure, k, rate).sampled(rate).sampled_psd(frequency, rate))
             for k in structure.there
         ]
     )

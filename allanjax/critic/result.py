@@ -38,10 +38,10 @@ class AxisCritique(ByValue):
 
     Attributes:
         axis: the axis.
-        findings: findings in the order of their detection.
+        findings: what was found, each as it changes the final model alone.
         before, after: discrepancies of simulations of the baseline and of the extended model.
         tests: p-value of every cause's best candidate in the record before any finding.
-        stages: the axis before the first finding and after each one.
+        stages: the axis without any finding, without each of them in turn, and with all of them.
         baseline: the model from which the critique started.
         model: the extended model: noise terms and deterministic terms with their values.
         misfit: how far the baseline's curve is off, if it does not fit the data.
@@ -114,7 +114,9 @@ class Critique(ByValue, PerAxis[AxisCritique]):
 
     @functools.cached_property
     def findings(self) -> tuple[Finding, ...]:
-        """Findings of the recording, each cause once, the largest change first; see `Finding.members`.
+        """Findings of the recording, each cause once: what the sensor is, then what happened.
+
+        Those that change most come first; see `Finding.members`.
 
         The `AxisCritique` of an axis has all its findings singly.
         """
@@ -223,7 +225,7 @@ class Critique(ByValue, PerAxis[AxisCritique]):
     def plot(
         self, path: str | os.PathLike[str] | None = None, findings: Collection[Finding] | None = None
     ) -> tuple[Figure, ...]:
-        """Draw a figure per finding, or for selected ones, and per axis without; saved in folder `path`.
+        """Draw a figure per axis, or for each of some findings; saved in folder `path`.
 
         A finding in several axes is drawn in the most affected one, `Finding.shown`; see
         `presentation.critique_figure`.

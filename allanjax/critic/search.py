@@ -1,5 +1,7 @@
 """The critic's main loop in one axis, and the rule by which candidates become findings.
 
+The filter and the resonances of the fit come first, if there are any (`View.fitted`).
+
 1. *Compare*: a view is the record as the model so far leaves it, whitened by that model.
 2. *Propose*: every effect searches it and offers the correction of the model that explains most.
 3. *Measure*: the offer with the largest evidence is accepted if it is significant and predicts data that it
@@ -36,9 +38,9 @@ import numpy as np
 from allanjax.base.wording import plain
 from allanjax.critic.effect import Candidate, Effect, View
 from allanjax.critic.effects.spectral_shape import SpectralShape, finished
-from allanjax.critic.finding import OUTLIERS, Detail, Rival, cause_title, order_of
+from allanjax.critic.finding import OUTLIERS, Detail, Rival, cause_title, order_of, parameter_estimate
 from allanjax.critic.policy import EQUAL, FALSE_ALARMS, OWN, PRIORS, SHARED, judged
-from allanjax.critic.step import Step, refitted, replay
+from allanjax.critic.step import Step, refitted
 from allanjax.noise.estimate import Estimate
 from allanjax.noise.model import Model
 
@@ -88,7 +90,6 @@ class Search:
         tests: `Effect.p_value` at the start, of those effects that have one.
         notes: notes for the user: effects about as probable as noise terms, or an early end of the search.
         preprocessed: whether a finding concerns the samples themselves, such as rounding.
-        is_anew: whether findings were refitted, so that the views of the steps are outdated.
         noise_model: random terms of the extended model, if there is a filter or a resonance among them.
     """
 
@@ -98,7 +99,6 @@ class Search:
     tests: Mapping[str, float]
     notes: tuple[str, ...] = ()
     preprocessed: bool = False
-    is_anew: bool = False
     noise_model: Model | None = None
 
     def noting(self, texts: Iterable[str]) -> Search:
@@ -150,7 +150,7 @@ def prepared(view: View, rule: AcceptanceRule) -> Search:
         if candidate and rule.accepts(candidate) and not (gain := candidate.held_out()) <= 0.0:
             step = Step.of(candidate, gain, (), state.end)
             after = candidate.after.with_findings(*state.end.found, candidate.cause)
-            state = Search(view, (*state.steps, step), after, {}, preprocessed=True, is_anew=True)
+            state = Search(view, (*state.steps, step), after, {}, preprocessed=True)
     return state
 
 
@@ -220,26 +220,23 @@ def extend(state: Search, step: Step) -> Search:
 def prune(state: Search, effects: Sequence[Effect], last: bool = False) -> Search:
     """Search with findings refitted where others changed their conditions, and without superfluous ones."""
     steps, end = refitted(state.steps, state.end, effects, last)
-    anew = [s.candidate for s in steps] != [s.candidate for s in state.steps]
-    return dataclasses.replace(state, steps=tuple(steps), end=end, is_anew=state.is_anew or anew)
+    return dataclasses.replace(state, steps=tuple(steps), end=end)
 
 
 def concluded(state: Search, effects: Sequence[Effect]) -> Search:
     """Finished search: everything is refitted, and the filter and the resonances are described."""
     state = prune(state, _sought(state.end, effects), last=True)
-    steps, view, anew, model = list(state.steps), state.end, state.is_anew, None
-    if mine := [s for s in steps if s.candidate.cause == SpectralShape.name]:
-        (own, model), anew, place = finished(view, mine), True, steps.index(mine[0])
-        steps[place:] = [*own, *(s for s in steps[place:] if s not in mine)]
-        view = view if own else view.with_structure(None)
-    if anew:
-        steps = replay(state.start, steps)
-        view = steps[-1].candidate.after if steps else state.start
+    steps, end, model = list(state.steps), state.end, None
+    mine = [s for s in steps if s.candidate.cause == SpectralShape.name]
+    if mine:
+        found, end, model = finished(end, mine)
+        place = steps.index(mine[0])
+        steps[place:] = [*found, *(s for s in steps[place:] if s not in mine)]
     return dataclasses.replace(
         state,
         start=state.start.without_caches(),
         steps=tuple(grouped(steps)),
-        end=view.without_caches(),
+        end=end.without_caches(),
         noise_model=model,
     )
 
@@ -303,12 +300,18 @@ def _together(first: Step, group: Sequence[Step]) -> Step:
     others = [s for s in group if s is not first]
     every, estimates, details = (first, *others), first.candidate.estimates, _lists(first, others)
     if "times" in details:
+        # Each group's error allows for missing samples.
+        error = float(np.linalg.norm([s.candidate.parameters["count"].std for s in every]))
         count, *rest = estimates
-        estimates = [first.before.estimate("count", len(details["times"]), count.std, "1"), *rest]
+        estimates = [parameter_estimate(count.axis, "count", len(details["times"]), error, "1"), *rest]
+    after = first.candidate.after
+    for path in (s.path for s in others if s.path is not None):
+        after = after.with_samples(after.samples - path)
     candidate = dataclasses.replace(
         first.candidate,
         estimates=estimates,
         details=details,
+        after=after,
         gain=sum(s.candidate.gain for s in every),
         add_to_model=lambda model: functools.reduce(lambda m, s: s.candidate.add_to_model(m), every, model),
     )

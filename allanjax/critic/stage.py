@@ -1,4 +1,4 @@
-"""One axis at one stage of the critique: its samples less the findings so far, and the model of the rest."""
+"""One axis with some of its findings: its samples less what these subtract, and the model of the rest."""
 
 from __future__ import annotations
 
@@ -22,13 +22,13 @@ _ALL = slice(None)
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Stage(ByValue):
-    """One axis at one stage of the critique, for comparisons, figures and simulations.
+    """One axis with none of its findings, with all but one, or with all, to compare, draw and simulate.
 
     Arrays that follow from the fields are computed when they are needed, and kept until `forget`.
 
     Attributes:
         axis: the axis.
-        x: samples less the earlier findings [SI].
+        x: samples less what the findings subtract [SI].
         rate: sample rate [Hz].
         powers: squared coefficients of the basic terms in the noise, by name (a ramp has none).
         index: place of the correlation time or exponent of the term that has one in the grid of shapes.
@@ -106,11 +106,6 @@ class Stage(ByValue):
     def same_record(self, other: Stage) -> bool:
         """Whether only the noise differs from that of another stage of the axis."""
         return self.x is other.x and self.ramp == other.ramp
-
-    def reuse(self, other: Stage) -> None:
-        """Take the transform of the samples from another stage of the axis, if it is the same."""
-        if self.same_record(other) and "whitened_coefficients" not in vars(self):
-            vars(self)["whitened_coefficients"] = other.residual / self.deviation
 
     def forget(self, keep_transform: bool = False) -> None:
         """Drop the arrays that are as long as the record and can be recomputed, perhaps but its transform."""

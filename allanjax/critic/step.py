@@ -1,22 +1,18 @@
-"""Steps of the search: a finding, its change of a view, and that of the basic coefficients."""
+"""Steps of the search: a finding and its change of a view."""
 
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 from jaxtyping import Float
 
 from allanjax.critic.bank import FINEST, SLOW
 from allanjax.critic.effect import Candidate, Effect, View
-from allanjax.critic.finding import CoefficientChange, Rival
-from allanjax.critic.noise import FIXED, MARKOV, WHITE, centred
+from allanjax.critic.finding import Rival
+from allanjax.critic.noise import centred
 from allanjax.critic.policy import judged
-from allanjax.estimate.spectral import components as kinds
-from allanjax.estimate.spectral.model import Structure
-from allanjax.noise.terms import Markov, basic_terms
-from allanjax.record.units import default_coefficient_unit, unit_scale
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -67,18 +63,6 @@ class Step:
             own = after.imputed & ~before.imputed
             view = dataclasses.replace(view, imputed=view.imputed & ~own if undone else view.imputed | own)
         return view.with_findings(*names)
-
-
-def replay(start: View, steps: Iterable[Step]) -> list[Step]:
-    """Steps repeated one after the other; the spectrum's structure is that of the last that changed it."""
-    view, found = start, []
-    for step in steps:
-        after, own = step.made(view), step.candidate
-        if own.domain == "frequency" and own.after.structure is not step.before.structure:
-            after = after.with_structure(own.after.structure)
-        found.append(Step.of(dataclasses.replace(own, after=after), step.gain, step.rivals, view))
-        view = after
-    return found
 
 
 # Most rounds at last, for findings that depend on each other.
@@ -173,44 +157,3 @@ def _shapes(steps: Sequence[Step], k: int) -> tuple[Float[np.ndarray, " slow"], 
     """Lowest coefficients of the waveforms of the other steps."""
     paths = [other.path for other in _others(k, steps)]
     return tuple(centred(path)[:FINEST] for path in paths if path is not None)
-
-
-def coefficient_changes(step: Step) -> tuple[CoefficientChange, ...]:
-    """Changes of every basic coefficient that is in the noise before or after a finding."""
-    views = step.before, step.candidate.after
-    # Spectral structure is fitted jointly with the terms, waveforms in time are not.
-    jointly = views[0].structure is not views[1].structure
-    before, after = (
-        v.noise.power if v.structure is None or not jointly else _of_structure(v.structure, v.rate)
-        for v in views
-    )
-    sensor = step.before.axis.sensor
-    changes = []
-    for name in (*FIXED, MARKOV):
-        if name not in before and name not in after:
-            continue
-        term = Markov() if name == MARKOV else basic_terms()[name]
-        unit = default_coefficient_unit(sensor, term.amplitude_parameter().time_exponent)
-        scale = unit_scale(unit, sensor)
-        old, new = (float(np.sqrt(p[name])) / scale if name in p else float("nan") for p in (before, after))
-        changes.append(CoefficientChange(name, old, new, unit))
-    return tuple(changes)
-
-
-def _of_structure(structure: Structure, rate: float) -> dict[str, float]:
-    """Squared coefficients of the basic terms that were fitted jointly with filter and resonances.
-
-    A wide resonance is white noise at low frequencies, of N² = σ²/(π·f0·Q): an angle grows by both.
-    """
-    power: dict[str, float] = {}
-    for own in map(structure.components.__getitem__, structure.there):
-        if own.kind == kinds.COLUMN and own.which < len(FIXED):
-            name, square = FIXED[own.which], own.power
-        elif own.kind == kinds.MARKOV:
-            name, square = MARKOV, 2.0 * own.power * rate / own.time
-        elif own.oscillates and own.quality < kinds.WIDE:
-            name, square = WHITE, 2.0 * own.power / (own.frequency * rate * own.quality)
-        else:
-            continue
-        power[name] = power.get(name, 0.0) + square
-    return power

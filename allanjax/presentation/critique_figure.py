@@ -1,4 +1,4 @@
-"""Figures of a critique: the measurement and its simulations, before and after each finding."""
+"""Figures of a critique: the measurement and its simulations, with each finding and without it."""
 
 from __future__ import annotations
 
@@ -25,12 +25,8 @@ from allanjax.critic.result import Critique
 from allanjax.critic.stage import Stage, octave_bins
 from allanjax.presentation import draw
 from allanjax.presentation.critique_story import (
-    SIGNIFICANT,
-    changes,
-    format_remainder,
     sentence,
     significance,
-    what,
 )
 from allanjax.presentation.draw import Heading, Sheet
 from allanjax.record.recording import Axis
@@ -38,21 +34,20 @@ from allanjax.spectrum.psd import density_unit
 
 
 def _named(critique: Critique, findings: Collection[Finding] | None) -> dict[str, tuple[Finding | None, str]]:
-    """Findings in their order, and None for axes without, each with the axis that is shown, by file names.
+    """Findings in their order, or None for each axis, each with the axis that is shown, by file names.
 
-    They may be some findings only, or parts of findings. Names are after the axis that is shown, or the axes
-    that share what was found, and the cause; numbered where a cause was found several times.
+    Findings may be parts of those of the recording. Names are after the axis that is shown, or the axes that
+    share what was found, and the cause; numbered where a cause was found several times.
     """
+    if findings is None:
+        return {f"{critique.name or 'recording'}_{axis}": (None, axis) for axis in critique.axes}
     listed = critique.findings
-    pairs: list[tuple[Finding | None, str]] = [(finding, finding.shown) for finding in listed]
-    pairs += [(None, axis.axis.name) for axis in critique.results if not axis.findings]
-    if findings is not None:
-        pairs += [(f, f.axes[0]) for axis in critique.results for f in axis.findings if f not in listed]
-        pairs = [pair for pair in pairs if pair[0] in findings]
-    named, count = {}, Counter[str]()
-    for finding, axis in pairs:
-        where = "_".join(finding.axes) if finding in critique.shared_findings and finding else axis
-        name = f"{critique.name or 'recording'}_{where}{f'_{finding.cause}' if finding else ''}"
+    pairs = [(finding, finding.shown) for finding in listed]
+    pairs += [(f, f.axes[0]) for axis in critique.results for f in axis.findings if f not in listed]
+    named, count = dict[str, tuple[Finding | None, str]](), Counter[str]()
+    for finding, axis in (pair for pair in pairs if pair[0] in findings):
+        where = "_".join(finding.axes) if finding in critique.shared_findings else axis
+        name = f"{critique.name or 'recording'}_{where}_{finding.cause}"
         count[name] += 1
         named[f"{name}_{count[name]}" if count[name] > 1 else name] = finding, axis
     return named
@@ -69,8 +64,6 @@ _POINTS = 600
 # Widths of a span that are drawn on either side of it; share of the record from which on it is not marked.
 _MARGIN = 4.0
 _EVERYWHERE = 0.95
-# Most discrepancies that are listed of those that a finding removed.
-_LISTED = 3
 # Samples that are shown one by one, and blocks whose means are shown.
 _SHOWN_SAMPLES, _BLOCKS = 150, 200
 # Correlations are drawn in bins of so many of `octave_bins`, which have so many coefficients at least.
@@ -84,19 +77,20 @@ def plot_critique(
     path: str | os.PathLike[str] | None = None,
     findings: Collection[Finding] | None = None,
 ) -> tuple[Figure, ...]:
-    """Draw one figure per finding, and one for each axis without findings.
+    """Draw one figure per axis, or one for each of some findings.
 
     Panels: Allan deviation and power spectral density, measured (points) and where 95 % of simulations lie
-    (bands), before the finding and after; the place of the effect; and its description. Allan
-    deviations are those of the record continued by its mirror image (the total deviation), without a ramp.
+    (bands), of the plain model and with all findings. Those of a finding are without it and with it; two more
+    panels show the place of the effect, and its description. Allan deviations are those of the record
+    continued by its mirror image (the total deviation), without a ramp.
 
     A finding in several axes is drawn in that in which it matters most. The figures are not pyplot's, so that
     no number of them is too many.
 
     Args:
         critique: what `critique` returns.
-        path: where to save them, as NAME_gyro_x_sinusoid.png; it is made if need be.
-        findings: some of the critique's or of its axes', if only their figures are wanted.
+        path: where to save them, as NAME_gyro_x.png or NAME_gyro_x_sinusoid.png; it is made if need be.
+        findings: some or all of the critique's or of its axes' findings, of which figures are wanted.
     """
     return tuple(critique_figures(critique, path, findings).values())
 
@@ -128,17 +122,27 @@ def critique_figures(
 
 
 class _Shown(NamedTuple):
-    """A record, when it was made, and the colour and marker of its curves."""
+    """An axis at a stage, and what its points and its band are; "" if they are not drawn."""
 
     record: Stage
-    when: str = ""
+    measured: str = "measured"
+    simulated: str = "95 % of simulations"
     colour: str = _AFTER
     marker: str = "o"
 
     def points(self) -> dict[str, Any]:
         """Style of the measured points."""
-        colour = self.colour if self.when == " after" else draw.ink(0.3)
-        return draw.dots(marker=self.marker, color=colour, label=f"measured{self.when}")
+        colour = draw.ink(0.3) if self.measured == "measured" else self.colour
+        return draw.dots(marker=self.marker, color=colour, label=self.measured)
+
+
+def _both(before: Stage, after: Stage, less: str, without: str, having: str) -> list[_Shown]:
+    """An axis without something and with it: two measured curves, or two simulated ones, or both."""
+    same_noise = before.powers == after.powers and before.factor is after.factor
+    measured = "" if before.same_record(after) else f"measured, less {less}"
+    first = "" if same_noise else f"95 % of simulations {without}"
+    second = "95 % of simulations" if same_noise else f"95 % of simulations {having}"
+    return [_Shown(before, simulated=first, colour=_BEFORE), _Shown(after, measured, second, _AFTER, "s")]
 
 
 def _draw(
@@ -146,7 +150,11 @@ def _draw(
 ) -> Figure:
     """Figure of a finding, or of an axis without; `record` gives an axis at a stage."""
     if finding is None:
-        return _panels(critique, [_Shown(record(axis, 0))])[0]
+        stages = [_Shown(record(axis, 0))]
+        if critique[axis].findings:
+            ends = record(axis, 0), record(axis, -1)
+            stages = _both(*ends, "what was found", "of the plain model", "with all findings")
+        return _panels(critique, stages)[0]
     if finding in critique.shared_findings:
         # With the curves of the first axis.
         records = [record(name, -1) for name in finding.axes]
@@ -154,10 +162,11 @@ def _draw(
         _draw_correlation(effect, records)
         return figure
     own = next(f for f in (finding, finding.strongest) if f in critique[axis].findings)
-    before, after = (record(axis, stage % len(critique[axis].stages)) for stage in own.stages)
-    stages = [_Shown(before)]
-    if before is not after:
-        stages = [_Shown(before, " before", _BEFORE), _Shown(after, " after", _AFTER, "s")]
+    after = record(axis, -1)
+    before, stages = after, [_Shown(after)]
+    if own.stage >= 0:
+        before = record(axis, own.stage)
+        stages = _both(before, after, "the effect", "without it", "with it")
     figure, effect = _panels(critique, stages, finding)
     cause = str(finding.details.get("domain", finding.cause))
     draw_effect = _draw_spectrum if finding.domain == "frequency" else _EFFECTS.get(cause, _draw_path)
@@ -176,10 +185,11 @@ def _panels(
     """
     key = []
     for stage in stages:
-        key += [draw.line_entry(**stage.points())]
-        key += [draw.band_entry(f"95 % of simulations{stage.when}", stage.colour, 0.25)]
+        key += [draw.line_entry(**stage.points())] if stage.measured else []
+        key += [draw.band_entry(stage.simulated, stage.colour, 0.25)] if stage.simulated else []
     record, lines, sheet = stages[0].record, [], _SHEET
-    title = f"{record.axis.name}: no finding"
+    count = len(critique[record.axis.name].findings)
+    title = f"{record.axis.name}: {count or 'no'} finding{'' if count == 1 else 's'}"
     if finding is not None:
         title = f"{', '.join(finding.axes)}: {finding.named(finding.cause)}"
         lines = _description(finding, record.axis)
@@ -204,14 +214,18 @@ def _draw_curves(panels: Sequence[Axes], stages: Sequence[_Shown], axis: Axis) -
         draw.dress(panel, name, x, draw.label_in(y, unit), log="xy")
         own = [Curve(c.place, *(values / scale for values in c[1:])) for c in shown]
         for stage, c in zip(stages, own, strict=True):
-            panel.fill_between(c.place, c.low, c.high, **draw.band(stage.colour))
-            panel.plot(c.place, c.median, color=stage.colour, linewidth=1.0)
-            panel.plot(c.place, c.measured, zorder=3, **stage.points())
+            if stage.simulated:
+                panel.fill_between(c.place, c.low, c.high, **draw.band(stage.colour))
+                panel.plot(c.place, c.median, color=stage.colour, linewidth=1.0)
+            if stage.measured:
+                panel.plot(c.place, c.measured, zorder=3, **stage.points())
     # The medians of the PSD limit its vertical scale.
     low, high = panels[1].get_ylim()
     middle = np.concatenate([c.median for c in own])
     panels[1].set_ylim(max(low, middle.min() / _BELOW), min(high, middle.max() * _ABOVE))
     for stage, c in zip(stages, own, strict=True):
+        if not stage.measured:
+            continue
         draw.mark_off_scale(panels[1], c.place, c.measured, stage.points()["color"])
 
 
@@ -366,9 +380,4 @@ def _description(finding: Finding, axis: Axis) -> list[str]:
         evidence = "" if finding.evidence is None else f"log Bayes factor {finding.evidence:,.0f} nats"
         test = significance(finding)
         lines.append(", ".join(text for text in ("" if test in lines[0] else test, evidence) if text))
-        lines += changes(finding, axis)
-        mended = [pair for pair in finding.discrepancies if pair[0].p_value < SIGNIFICANT]
-        lines += ["", "Tests that failed before this finding:"] if mended else []
-        for before, after in sorted(mended, key=lambda pair: pair[0].p_value)[:_LISTED]:
-            lines.append(f"– {what(before)}; with the finding {format_remainder(before, after)}")
     return [part for line in lines for part in wrapped(line, _COLUMNS, rest="").split("\n")]

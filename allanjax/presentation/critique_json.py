@@ -5,7 +5,7 @@ from __future__ import annotations
 from importlib.metadata import version
 from typing import Any
 
-from allanjax.critic.finding import Detail, Discrepancy, Finding, written
+from allanjax.critic.finding import Change, Detail, Discrepancy, Finding, written
 from allanjax.critic.result import AxisCritique, Critique
 from allanjax.estimate.as_json import in_json
 from allanjax.noise.estimate import Estimate, usual_unit
@@ -13,7 +13,7 @@ from allanjax.noise.model import Model
 from allanjax.record.recording import Axis
 from allanjax.record.units import unit_scale
 
-SCHEMA_VERSION = 1
+SCHEMA_VERSION = 2
 
 
 def to_dict(critique: Critique) -> dict[str, Any]:
@@ -59,14 +59,12 @@ def _axis(axis: AxisCritique) -> dict[str, Any]:
 
 def _recording_finding(finding: Finding, critique: Critique) -> dict[str, Any]:
     """A finding of the recording; its parts have the changes in each axis."""
-    impact = finding.impact
     return {
         **_head(finding),
         "amplitudes": {
             axis: {**_parameter(e), "label": e.label, "remark": e.remark}
             for axis, e in finding.amplitudes.items()
         },
-        "effect": {"size": impact.size, "quantity": impact.quantity, "time_s": impact.time},
         "parts": [_part(member, critique) for member in finding.members or (finding,)],
     }
 
@@ -88,22 +86,22 @@ def _head(finding: Finding) -> dict[str, Any]:
         "evidence_nats": finding.evidence,
         "gain_nats": finding.gain,
         "rivals": [_fields(rival, "cause", "odds") for rival in finding.rivals],
-        **_fields(finding, "span", "domain"),
+        **_fields(finding, "span", "domain", "is_event"),
+        "change": finding.change and _change(finding.change),
     }
 
 
 def _finding(finding: Finding) -> dict[str, Any]:
-    drift = finding.drift
+    return {**_head(finding), "rest": finding.rest and _discrepancy(finding.rest)}
+
+
+def _change(change: Change) -> dict[str, Any]:
     return {
-        **_head(finding),
-        "coefficients": [_fields(c, "label", "before", "after", "unit") for c in finding.coefficients],
-        "drift": drift
-        and {"horizon_s": drift.horizon, **_fields(drift, "measured", "before", "after", "unit")},
-        "discrepancies": [
-            {"before": _discrepancy(before), "after": _discrepancy(after)}
-            for before, after in finding.discrepancies
-        ],
-        "rest": finding.rest and _discrepancy(finding.rest),
+        "share": change.share,
+        "time_s": change.time,
+        "notable_s": [change.first, change.last],
+        "psd_share": change.density,
+        "frequency_hz": change.frequency,
     }
 
 

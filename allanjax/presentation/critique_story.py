@@ -1,16 +1,19 @@
-"""What a critique says, for people: a table of its findings, a line for each axis, and the same in full."""
+"""What a critique says, for people: what the sensor is and what happened, in tables and in full.
+
+Each finding is told by what it alone changes, and not by an order in which things were found.
+"""
 
 from __future__ import annotations
 
 import itertools
 import re
+from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 
 import numpy as np
 
-from allanjax.base.tables import WIDTH, Column, as_text, columns_from, printable, width_of, wrapped
+from allanjax.base.tables import Column, as_text, columns_from, printable, wrapped
 from allanjax.base.wording import (
-    duration,
     format_p_value,
     format_with_error,
     percent,
@@ -19,13 +22,12 @@ from allanjax.base.wording import (
 )
 from allanjax.critic.comparison import DOMAINS
 from allanjax.critic.finding import (
+    NOTABLE,
+    TELLING,
     UNEXPLAINED,
-    CoefficientChange,
     Detail,
     Discrepancy,
-    DriftChange,
     Finding,
-    cause_title,
     numbers_in,
     side_of_limit,
     values_of,
@@ -33,7 +35,6 @@ from allanjax.critic.finding import (
 from allanjax.critic.result import AxisCritique, Critique
 from allanjax.estimate.misfit import LIMIT
 from allanjax.noise.estimate import Estimate
-from allanjax.record.recording import Axis
 
 # Statistics in words. Of those with `off`, the two values compare as a ratio.
 _STATISTICS = {
@@ -197,9 +198,9 @@ def factor_off(size: float) -> str:
 
 # --- The table of findings ----------------------------------------------------------------------------------
 
-#: Most findings that a printed critique lists.
+#: Most findings that a table of a printed critique lists.
 MOST = 10
-_HEADINGS = ("#", "what", "axes", "where", "size", "changes", "nats")
+_HEADINGS = ("#", "what", "axes", "where", "size", "of the Allan variance", "nats")
 # An empty cell of the table, and the place of what has no other.
 NONE, _EVERYWHERE = "–", "whole record"
 # Parameters that are the place of an effect, the first that a finding has, and what stands around each.
@@ -213,27 +214,39 @@ _WHERE = {
 }
 # Signs of a parameter of which only a limit is known.
 _LIMIT = {"above": "> ", "below": "< ", "": ""}
-_SYMBOLS = {"angle_random_walk": "N", "rate_random_walk": "K"}
 
 
-def findings_columns(critique: Critique, findings: Sequence[Finding], brief: bool = False) -> list[Column]:
-    """Table with a row for each of these findings; a brief one is without the times of drifts."""
-    rows = [(str(k), *_row(f, critique, brief)) for k, f in enumerate(findings, 1)]
-    return columns_from(_HEADINGS, rows)
+def findings_columns(critique: Critique, findings: Sequence[Finding]) -> list[Column]:
+    """Table with a row for each of these findings, numbered as in the critique."""
+    number = {id(f): str(k) for k, f in enumerate(critique.findings, 1)}
+    return columns_from(_HEADINGS, [(number[id(f)], *_row(f, critique)) for f in findings])
 
 
-def findings_table(critique: Critique, findings: Sequence[Finding]) -> str:
-    """Table of these findings, and what its columns are, at most `WIDTH` wide; at last cells are cut."""
-    columns = findings_columns(critique, findings)
-    if width_of(columns) > WIDTH:
-        columns = findings_columns(critique, findings, brief=True)
-    about = f"nats: log-likelihood gained on held-out data; {NONE}: not applicable"
-    if any(len(f.axes) > 1 for f in findings):
-        about = f"size: of the most affected axis; {about}"
-    return f"{as_text('', [columns])}\n\n{about}"
+def lists(critique: Critique) -> dict[str, list[Finding]]:
+    """What the sensor is, and what happened, by heading; then what is too weak to be told singly."""
+    causes = causes_of(critique.findings)
+    weak = [f for f in causes if f.is_weak]
+    # One line is no shorter than another.
+    weak = weak if len(weak) > 1 else []
+    told = [f for f in causes if not any(f is other for other in weak)]
+    return {
+        "What the sensor is": [f for f in told if not f.is_event],
+        "What happened": [f for f in told if f.is_event],
+        "": weak,
+    }
 
 
-def _row(finding: Finding, critique: Critique, brief: bool) -> tuple[str, ...]:
+def weaker(findings: Sequence[Finding]) -> str:
+    """Weak findings in a line, e.g. "and 2 weaker resonances: each below 2 % …"; "" for none."""
+    if not findings:
+        return ""
+    count = Counter(f.named(f.cause) for f in findings)
+    names = ", ".join(f"{k} {name}{'s' if k > 1 and name[-1] != 's' else ''}" for name, k in count.items())
+    least = f"less than {percent(NOTABLE)} of the Allan variance and {TELLING:.0f} nats each"
+    return f"and {names}, {least}: details()"
+
+
+def _row(finding: Finding, critique: Critique) -> tuple[str, ...]:
     """Cells of a finding in the table, but for its number."""
     like = _likeness(finding)
     return (
@@ -241,7 +254,7 @@ def _row(finding: Finding, critique: Critique, brief: bool) -> tuple[str, ...]:
         "all" if len(finding.axes) == len(critique) > 2 else names_of(finding.axes),
         place(finding),
         size(finding),
-        changed(finding, brief) or NONE,
+        share(finding),
         NONE if finding.gain is None else nats(finding.gain).removesuffix(" nats"),
     )
 
@@ -280,29 +293,15 @@ def size(finding: Finding) -> str:
     return NONE if e is None or e.label == "bandwidth" else re.sub(r"/\[.*\]", " per unit", _short(e))
 
 
-def changed(finding: Finding, brief: bool) -> str:
-    """What a finding changes most, e.g. "N 2.53 → 1.46 deg/√h"; "" for next to nothing."""
-    impact = finding.impact
-    if not impact.size >= 1e-3:
-        return ""
-    if impact.quantity == "sum":
-        return f"sum of two axes by {percent(impact.size)}"
-    if impact.quantity == "allan_deviation":
-        at = "" if brief else f" at {plain(impact.time, 3)} s"
-        return f"Allan deviation{at} by {percent(impact.size)}"
-    if impact.quantity == "drift" and finding.drift is not None:
-        within = "" if brief else f"in {duration(impact.time)} "
-        return f"drift {within}{_before_and_after(finding.drift)}"
-    own = next(c for c in finding.coefficients if c.label == impact.quantity)
-    return f"{_SYMBOLS[own.label]} {_before_and_after(own)}"
-
-
-def _before_and_after(c: CoefficientChange | DriftChange) -> str:
-    """Values of a change, e.g. "2.53 → 1.46 deg/√h", or "added, 1.46 deg/√h" of what was not in the model."""
-    before, after = (plain(x, 3) for x in (c.before, c.after))
-    if not np.isfinite(c.before):
-        return f"added, {after} {c.unit}"
-    return f"{before} → {after} {c.unit}" if np.isfinite(c.after) else f"removed, was {before} {c.unit}"
+def share(finding: Finding) -> str:
+    """Largest share of the Allan variance, e.g. "48 % at 1 s"; a filter takes some off: "−43 % at 0.01 s"."""
+    change = finding.change
+    if change is None:
+        return NONE
+    if change.size < NOTABLE:
+        return f"< {percent(NOTABLE)}"
+    sign = "−" if change.share < 0.0 else ""
+    return f"{sign}{percent(change.size)} at {plain(change.time, 2)} s"
 
 
 def names_of(axes: Iterable[str]) -> str:
@@ -328,24 +327,37 @@ def _short(e: Estimate) -> str:
 #: Largest p-value of a discrepancy that is reported: of some fourteen per axis, a few are small by chance. A
 #: judgement.
 SIGNIFICANT = 1e-4
-# Smallest relative change of a coefficient or of the drift that is reported.
-_NOTABLE = 0.05
-# The best-known statistic comes first, unless another one improved by this many times as many nats.
-_KNOWN, _CLEARER = "allan_deviation", 3.0
+# The best-known statistic.
+_KNOWN = "allan_deviation"
 _BETWEEN = DOMAINS["channels"]
 # Most failed tests of an axis that are described in full.
 _MOST_TESTS = 3
 
 
 def story(critique: Critique) -> str:
-    """Table of the findings that change most, a line for each axis, warnings and notes, for `print`."""
-    causes = causes_of(critique.findings)
-    lines = [wrapped(headline(critique))]
-    if causes:
-        lines += ["", findings_table(critique, causes[:MOST])]
-    if len(causes) > MOST:
-        lines.append(f"and {len(causes) - MOST} more: critique.details()")
+    """Tables of what the sensor is and of what happened, a line for each axis, warnings and notes."""
+    lines, told = [wrapped(headline(critique))], lists(critique)
+    weak = told.pop("")
+    for heading, findings in told.items():
+        if findings:
+            table = as_text("", [findings_columns(critique, findings[:MOST])])
+            lines += ["", heading, table]
+        if len(findings) > MOST:
+            lines.append(f"and {len(findings) - MOST} more: details()")
+    if weak:
+        lines += ["", wrapped(weaker(weak))]
+    if any(told.values()):
+        lines += ["", wrapped(_about(critique))]
     return printable("\n".join([*lines, "", *_end(critique, brief=True)]))
+
+
+def _about(critique: Critique) -> str:
+    """What the columns of the tables are."""
+    about = (
+        "of the Allan variance: largest share that it alone adds, or takes off (−), the rest held; nats: "
+        f"log-likelihood gained on held-out data; {NONE}: not applicable"
+    )
+    return f"size: of the most affected axis; {about}" if len(critique) > 1 else about
 
 
 def details(critique: Critique) -> str:
@@ -353,8 +365,6 @@ def details(critique: Critique) -> str:
     lines = [wrapped(headline(critique))]
     for k, finding in enumerate(critique.findings, 1):
         lines += ["", wrapped(f"{k}. {sentence(finding)}")]
-        if text := "; ".join(changes(finding, critique[finding.shown].axis)):
-            lines.append(wrapped(f"Changes: {text}.", first="  "))
     return "\n".join([*lines, "", *_end(critique, brief=False)])
 
 
@@ -375,11 +385,10 @@ def headline(critique: Critique) -> str:
     count = f"{len(causes) or 'no'} finding{'' if len(causes) == 1 else 's'}"
     left = len(critique.findings) - len(causes)
     axes = "1 axis" if len(critique) == 1 else f"{len(critique)} axes"
-    order = ", the largest change first" if len(causes) > 1 else ""
     # Nothing of what was found may be of the kind that can be held out.
     gain = f"; total gain {nats(critique.gain)} on held-out data" if causes and critique.gain else ""
     more = f"; {left} discrepanc{'y' if left == 1 else 'ies'} unexplained" if left else ""
-    return f"{critique.name or 'recording'}: {count} in {axes}{order}{gain}{more}"
+    return f"{critique.name or 'recording'}: {count} in {axes}{gain}{more}"
 
 
 def axis_lines(critique: Critique, brief: bool) -> list[str]:
@@ -418,9 +427,10 @@ def _verdict(axis: AxisCritique, shared: set[str], brief: bool) -> str:
     then = f"after the findings{'' if brief else f' ({len(before)} before)'}"
     shown = own[: 1 if brief else _MOST_TESTS]
     words = "; ".join(map(what if brief else describe, shown))
-    if brief and (bare := [f for f in axis.findings if f not in causes]):
-        worst = min(bare, key=lambda f: f.discrepancies[0][0].p_value)
-        words = f"{_where(worst)}: {what(worst.discrepancies[0][0])}"
+    bare = [f for f in axis.findings if f not in causes]
+    if brief and bare:
+        worst, rest = min(((f, f.rest) for f in bare if f.rest), key=lambda pair: pair[1].p_value)
+        words = f"{_where(worst)}: {what(rest)}"
     more = f"; and {len(own) - len(shown)} more" if len(own) > len(shown) else ""
     return f"{name}: {tests} {then if causes else 'and no cause was found'}: {words}{more}"
 
@@ -431,9 +441,11 @@ def _failed(tests: Iterable[Discrepancy]) -> list[Discrepancy]:
 
 
 def unmeasured(critique: Critique) -> tuple[str, ...]:
-    """Warnings about axes whose baseline does not fit the data, and what to do about it."""
+    """Warnings about axes whose plain model does not fit and whose findings leave something, and a remedy."""
     warnings = []
     for axis in (axis for axis in critique.results if axis.misfit is not None and axis.misfit.excessive):
+        if not _failed(axis.after):
+            continue
         left = [d.size for d in axis.after if d.statistic == _KNOWN and d.p_value < SIGNIFICANT]
         # Whether what is left is beyond what coefficients may have, in either direction.
         far = any(not abs(np.log(max(1.0 + x, 1e-300))) < np.log(1.0 + LIMIT) for x in left)
@@ -443,7 +455,7 @@ def unmeasured(critique: Critique) -> tuple[str, ...]:
             if far
             else "use the coefficients of critique.refit() (--refit)"
         )
-        warnings.append(f"{axis.axis.name}: the noise model does not fit the data: {axis.misfit}; {then}")
+        warnings.append(f"{axis.axis.name}: the plain model does not fit the data: {axis.misfit}; {then}")
     return tuple(warnings)
 
 
@@ -468,7 +480,7 @@ _OF_OUTLIERS = "See the record at these times: shocks or interference."
 
 
 def sentence(finding: Finding) -> str:
-    """A finding in words: axes, cause and parameters, what it mends, its gain, and its rivals."""
+    """A finding in words: axes, cause and parameters, what it alone changes, its gain, and its rivals."""
     axes = ", ".join(finding.axes)
     if finding.cause == UNEXPLAINED:
         return _without_a_cause(finding)
@@ -476,13 +488,12 @@ def sentence(finding: Finding) -> str:
     if finding.members and (sizes := finding.amplitudes):
         each = (f"{axis} {_short(e)}{f' ({e.remark})' if e.remark else ''}" for axis, e in sizes.items())
         cause += f"; {', '.join(each)}"
-    pair, gain = headline_discrepancy(finding), gain_of(finding)
-    if pair is None:
-        test = significance(finding)
-        text = f"{cause}{f' ({test})' if test else ''}; {gain}."
-    else:
-        where = f" in {finding.shown}" if len(finding.axes) > 1 and finding.members else ""
-        text = f"{cause}; {gain}. Before{where}: {describe(pair[0])}. After: {format_remainder(*pair)}."
+    test = significance(finding)
+    text = f"{cause}{f' ({test})' if test else ''}; {gain_of(finding)}."
+    changes = change_in_words(finding)
+    if changes:
+        where = f"In {finding.shown}, with the rest held," if len(finding.axes) > 1 else "With the rest held"
+        text += f" {where} {changes}."
     if finding.rest is not None:
         text += f" Explained in part, as {describe(finding.rest)}."
     if finding.rivals:
@@ -491,12 +502,34 @@ def sentence(finding: Finding) -> str:
     return text
 
 
+def change_in_words(finding: Finding) -> str:
+    """What a finding alone changes, e.g. "it adds 48 % of the Allan variance at 1 s, 2 % or more …"."""
+    change = finding.change
+    if change is None:
+        return ""
+    least = percent(NOTABLE)
+    text = f"it changes the Allan variance by less than {least}"
+    if change.size >= NOTABLE:
+        text = f"{_adds(change.share)} of the Allan variance at {plain(change.time, 2)} s"
+        if change.last > change.first:
+            text += f" ({least} or more from {plain(change.first, 2)} to {plain(change.last, 2)} s)"
+    if finding.domain == "frequency" and abs(change.density) >= NOTABLE:
+        joint = ", and " if change.size >= NOTABLE else "; "
+        text += f"{joint}{_adds(change.density)} of the PSD around {plain(change.frequency, 3)} Hz"
+    return text
+
+
+def _adds(share: float) -> str:
+    """A share that a finding adds, or takes off, in words."""
+    return f"it {'adds' if share > 0.0 else 'takes off'} {percent(abs(share))}"
+
+
 def _without_a_cause(finding: Finding) -> str:
     """What is known of something unexplained: where, how large, what it resembles, and where to look next."""
     amounts = f", {e.label} {amount(e)}" if (e := finding.size) else ""
-    worst = finding.discrepancies[0][0]
+    worst = finding.rest
     domain = str(finding.details["domain"])
-    if worst.p_value < SIGNIFICANT:
+    if worst is not None and worst.p_value < SIGNIFICANT:
         test = f": {f'in {finding.shown}, ' if finding.members else ''}{describe(worst)}"
     else:
         # A free level shows what windows of fixed lengths do not.
@@ -513,62 +546,6 @@ def _without_a_cause(finding: Finding) -> str:
 def _where(finding: Finding, more: str = "") -> str:
     """Where something unexplained shows, e.g. "in the spectrum (11 … 14 Hz)"."""
     return f"{_DOMAINS[str(finding.details['domain'])][0]} ({_ends(finding) or _EVERYWHERE}{more})"
-
-
-def headline_discrepancy(finding: Finding) -> tuple[Discrepancy, Discrepancy] | None:
-    """Discrepancy that the finding reduced most, before and after, if it was significant before."""
-    # Of those whose log p-value has lost at least half of its size.
-    pairs = [
-        pair
-        for pair in finding.discrepancies
-        if pair[0].p_value < SIGNIFICANT and _mended(pair) > -0.5 * np.log(pair[0].p_value)
-    ]
-    if not pairs:
-        return None
-    best = max(pairs, key=_mended)
-    known = next((pair for pair in pairs if pair[0].statistic == _KNOWN), best)
-    return known if _CLEARER * _mended(known) >= _mended(best) else best
-
-
-def _mended(pair: tuple[Discrepancy, Discrepancy]) -> float:
-    """Increase of the log p-value from before to after."""
-    before, after = (np.log(max(d.p_value, 1e-300)) for d in pair)
-    return float(after - before)
-
-
-def format_remainder(before: Discrepancy, after: Discrepancy) -> str:
-    """Remainder of a discrepancy in words, e.g. "within 0.5 %"."""
-    if "{off}" in _STATISTICS[before.statistic] and np.isfinite(after.size):
-        if after.p_value < SIGNIFICANT:
-            return factor_off(after.size)
-        return f"within {percent(max(abs(after.size), 1e-3))}"
-    if after.p_value < SIGNIFICANT:
-        return f"still significant ({format_p_value(after.p_value)})"
-    return "no longer significant"
-
-
-def changes(finding: Finding, axis: Axis) -> list[str]:
-    """Changes of coefficients and drift by a finding, each in words."""
-    texts = [
-        f"{cause_title(c.label, axis.sensor)} {_before_and_after(c)}"
-        for c in finding.coefficients
-        if notable(c.before, c.after)
-    ]
-    drift = finding.drift
-    if drift is not None and notable(drift.before, drift.after):
-        texts.append(
-            f"drift over {duration(drift.horizon)} in simulations {_before_and_after(drift)}, "
-            f"in the record {plain(drift.measured, 3)} {drift.unit}"
-        )
-    return texts
-
-
-def notable(before: float, after: float) -> bool:
-    """Whether a value changed; that of a term which is in neither model did not."""
-    known = np.isfinite([before, after])
-    if not known.all():
-        return bool(known.any())
-    return abs(after - before) > _NOTABLE * max(abs(before), abs(after))
 
 
 def finding_text(finding: Finding) -> str:

@@ -72,7 +72,7 @@ def checked(command, *words):
     assert done.stdout, done.stderr
     document = json.loads(done.stdout)
     schema(command).validate(document)
-    assert document["schema_version"] == 1
+    assert document["schema_version"] == (2 if command == "critique" else 1)
     assert not schema(command).is_valid(document | {"colour": "red"})
     assert done.exit_code == int(bool(document.get("errors")))
     for file in document.get("written", ()):

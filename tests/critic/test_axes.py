@@ -70,9 +70,10 @@ def test_what_acts_on_several_axes_is_one_finding_and_what_does_not_is_not():
         ("bias_step", ("accel_y",)),
         ("sinusoid", ("accel_z",)),
     }
-    # The largest change comes first.
-    sizes = [f.impact.size for f in moved().findings]
-    assert sizes == sorted(sizes, reverse=True)
+    # What the sensor is comes first, then what happened, in each the largest change.
+    order = [(f.is_event, -f.change.size) for f in moved().findings]
+    assert order == sorted(order)
+    assert {f.cause for f in moved().findings if f.is_event} == {"bias_step"}
 
 
 def test_a_weak_line_is_found_where_another_axis_has_a_strong_one_and_not_alone():
@@ -107,9 +108,8 @@ def test_numbers_of_a_finding_in_several_axes_are_those_of_its_members_together(
     scatter = max(1.0, np.sqrt(weight @ (value - mean) ** 2))
     assert both.parameters[label].value == pytest.approx(mean)
     assert both.parameters[label].std == pytest.approx(scatter / np.sqrt(weight.sum()))
-    strongest = max(parts, key=lambda f: (f.impact.size, f.gain))
-    assert (both.shown, both.impact, both.drift) == (strongest.axes[0], strongest.impact, strongest.drift)
-    assert both.coefficients == strongest.coefficients
+    strongest = max(parts, key=lambda f: (f.change.size, f.gain))
+    assert (both.shown, both.change) == (strongest.axes[0], strongest.change)
 
 
 def test_steps_at_one_time_have_the_size_of_each_axis():

@@ -20,7 +20,7 @@ def unexplained(x):
     found = aj.critique(x, rate=RATE, gyro_unit="deg/s", names=["gyro_x"])
     (one,) = found.findings
     assert one.cause == "unexplained"
-    assert one.discrepancies
+    assert one.rest
     text = found.details()
     assert "unexplained" in text
     assert "None" not in text

@@ -420,12 +420,16 @@ def test_an_autocorrelation_has_the_models_band_and_a_decomposition_a_panel_per_
     refuses("gyro_w", found.plot, "gyro_w")
 
 
-def test_a_figure_for_every_finding_and_one_for_each_axis_without(tmp_path):
+def test_a_figure_for_every_axis_and_one_for_each_finding_on_request(tmp_path):
     critique, steps = bench.critique("lines"), bench.critique("steps")
     figures = critique.plot(tmp_path / "new")
-    written = {path.name for path in (tmp_path / "new").iterdir()}
-    assert len(figures) == len(written)
-    assert {f"lines_{axis}.png" for axis in critique if not critique[axis].findings} <= written
+    assert {path.name for path in (tmp_path / "new").iterdir()} == {f"lines_{axis}.png" for axis in critique}
+    for axis, shown in zip(critique, figures, strict=True):
+        assert [axes.get_xlabel() for axes in shown.axes] == ["cluster time T [s]", "frequency f [Hz]"]
+        # Measured points and simulated medians; with findings the points less a line, and other medians.
+        assert len(shown.axes[0].get_lines()) == (4 if critique[axis].findings else 2)
+        check_texts_apart(shown)
+    assert len(steps.plot(findings=steps.findings)) == len(steps.findings)
     finding = next(f for f in critique.findings if f.cause == "sinusoid")
     (figure,) = critique.plot(findings=[finding])
     allan, psd, spectrum = figure.axes

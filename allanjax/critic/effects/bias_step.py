@@ -36,6 +36,7 @@ class BiasStep(Effect):
     """A step of the bias; several are detected one by one, or two together if they hide each other."""
 
     name = "bias_step"
+    is_event = True
     refit = "at once"
 
     def detect(self, view: View) -> Candidate | None:

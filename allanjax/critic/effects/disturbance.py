@@ -39,6 +39,7 @@ class Disturbance(Effect):
     """A time span whose residuals are correlated and much larger than the noise."""
 
     name = "disturbance"
+    is_event = True
 
     def detect(self, view: View) -> Candidate | None:
         block = max(int(np.rint(_SHORTEST * view.rate)), 4)

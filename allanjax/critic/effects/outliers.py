@@ -44,6 +44,7 @@ class Outliers(Effect):
     """Errors in a share of the samples that are much larger than the noise."""
 
     name = "outliers"
+    is_event = True
     refit = "at last"
 
     def p_value(self, view: View) -> float:
@@ -75,6 +76,7 @@ class Outliers(Effect):
         return Candidate(
             self.name,
             [
+                # Of those that are seen one in twenty may be noise.
                 view.estimate("count", len(times), np.sqrt(len(times) * 0.05), "1"),
                 view.log_estimate("scale", log_scale, spread, limit, view.axis.unit),
             ],

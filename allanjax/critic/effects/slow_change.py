@@ -57,6 +57,7 @@ class SlowChange(Effect):
     """A change of the bias whose course no cause in the vocabulary has; it is found, but never named."""
 
     name = "slow_change"
+    is_event = True
     refit = "at once"
 
     def detect(self, view: View) -> Candidate | None:

@@ -23,8 +23,9 @@ from allanjax.critic.noise import MARKOV, POWER_LAW, coefficient_folds, share_of
 from allanjax.critic.policy import judged
 from allanjax.critic.step import Step
 from allanjax.estimate.spectral import model as structures
+from allanjax.estimate.spectral.as_model import model_of
 from allanjax.estimate.spectral.components import BUTTERWORTH, NONE
-from allanjax.estimate.spectral.model import FIXED, Fitted, Spectrum, Structure, model_of, response_of
+from allanjax.estimate.spectral.model import FIXED, Fitted, Spectrum, Structure, response_of
 from allanjax.estimate.spectral.search import (
     Record,
     at_all,
@@ -72,6 +73,8 @@ LOW_PASS, RESONANCE = "low_pass", "resonance"
 _LINES, _BESIDE = judged("line", "quality"), judged("line", "beside")
 # Share of a filter's corner frequency at which its pass band is judged.
 _PASSED = 0.5
+# Error of the logarithm of a bandwidth beyond which that is undetermined.
+_VAGUE = float(np.log(10.0))
 # Share of the record at each end that is drawn anew behind a steep filter.
 _ENDS = 0.02
 _LEFT = judged("spectral_shape", "left")
@@ -108,12 +111,17 @@ def _problem(view: View, whole: bool = False) -> tuple[Record, Structure]:
 def candidate_structure(view: View) -> tuple[View, float] | None:
     """View with the structure of its spectrum beyond the findings, and its log odds [nats].
 
-    The odds are against all basic terms, also missing ones: a Markov process may explain much of a filter.
+    It is that of the fit, if that has one; when everything else has been found, it is searched for once more
+    if the spectrum is off (`finished`). The odds are against all basic terms, also missing ones: a Markov
+    process may explain much of a filter.
     """
-    if view.structure is not None and not _left(view):
+    if view.structure is not None and (view.fitted is not None or not _left(view)):
         return None
     record, start = _problem(view)
-    spectrum, found = searched(record, start)
+    if view.fitted is None:
+        spectrum, found = searched(record, start)
+    else:
+        spectrum, found = refitted(record, start.with_shape_of(view.fitted))
     spectrum, found = in_full(spectrum, _of_resonances(spectrum, found, record.n))
     found = _with_what_is_known(view, spectrum, found)
     if found.structure.has_shape_of(start):
@@ -224,12 +232,13 @@ def _left(view: View) -> bool:
     return chance_of_peak(view.squared_whitened) < _LEFT
 
 
-def finished(view: View, found_so_far: Sequence[Step]) -> tuple[list[Step], Model | None]:
-    """Final structure, found in some steps: filter and resonances as findings, by gain; and the model.
+def finished(view: View, found_so_far: Sequence[Step]) -> tuple[list[Step], View, Model | None]:
+    """Final structure, found in some steps: filter and resonances as findings, the view with it; the model.
 
-    There are no findings and there is no model if there are only basic terms.
+    There are no findings and there is no model if there are only basic terms. The steps lead from the view
+    without the finding, the rest held, to the one with it.
     """
-    left, first = _left(view), found_so_far[0]
+    left = _left(view)
     record, start = _problem(view)
     ramp = view.coefficients - view.residual
     # The ends are those of the record again, but the noise is that without them.
@@ -237,10 +246,10 @@ def finished(view: View, found_so_far: Sequence[Step]) -> tuple[list[Step], Mode
         view = step.made(view, undone=True)
     squares = (view.coefficients - ramp) ** 2
     record = record._replace(squares=squares if view.base is None else squares / view.base)
-    spectrum, found = searched(record, start) if left else refitted(record, start)
-    found = _of_resonances(spectrum, found, record.n) if left else found
-    spectrum, found = completed(record, spectrum, found, MARKOV in view.allowed)
-    found = _with_what_is_known(view, spectrum, _of_resonances(spectrum, found, record.n))
+    spectrum, found = _final(view, record, start, left)
+    if not _groups(found.structure):
+        # A peak may have been split into some that are as narrow as lines.
+        spectrum, found = _final(view, record, start.without(*start.oscillators), True)
     while groups := _groups(found.structure):
         less = [_without(found.structure, group) for group in groups]
         best, *losses = _held_out_losses(record, spectrum, [found.structure, *less])
@@ -249,29 +258,35 @@ def finished(view: View, found_so_far: Sequence[Step]) -> tuple[list[Step], Mode
         # What predicts nothing is not reported.
         found = spectrum.fit(less[losses.index(min(losses))])
     else:
-        return [], None
-    without, settled = (
-        [spectrum.fit(each) for each in less],
-        _without_ends(view.with_structure(found.structure)),
-    )
-    order, steps = sorted(range(len(groups)), key=lambda k: without[k].evidence), []
-    for place, k in enumerate(order):
-        later = [component for j in order[place + 1 :] for component in groups[j]]
-        partial = spectrum.fit(_without(found.structure, later)) if later else found
-        after = first.before.with_structure(partial.structure)
-        if groups[k] == [_RESPONSE]:
+        return [], view.with_structure(None), None
+    steps = []
+    after = _without_ends(view.with_structure(found.structure)).without_caches()
+    whole = after.structure
+    assert whole is not None
+    for group, rest, loss in zip(groups, less, losses, strict=True):
+        refit = spectrum.fit(rest)
+        if group == [_RESPONSE]:
             # For a filter, the odds are the only statistic.
             own, chance = _filter(view, found), None
-            samples, imputed = after.samples + settled.samples - view.samples, after.imputed | settled.imputed
-            after = dataclasses.replace(after, samples=samples, imputed=imputed)
         else:
             # Everything else is fitted to the spectrum without it.
-            own = _resonance(view, found, groups[k])
-            chance = chance_of_peak(record.squares / at_all(spectrum, without[k]))
-        gain = found.evidence - without[k].evidence
+            own = _resonance(view, found, group)
+            chance = chance_of_peak(record.squares / at_all(spectrum, refit))
+        gain = found.evidence - refit.evidence
         candidate = dataclasses.replace(own, gain=gain, p_value=chance, after=after)
-        steps.append(Step(candidate, losses[k] - best, (), first.before))
-    return steps, model_of(found.structure, view.rate)
+        held = dataclasses.replace(after, structure=_without(whole, group))
+        steps.append(Step(candidate, loss - best, (), held))
+    steps.sort(key=lambda step: -step.candidate.gain)
+    names = [*after.found, *(step.candidate.cause for step in steps)]
+    return steps, after.with_findings(*names), model_of(found.structure, view.rate)
+
+
+def _final(view: View, record: Record, start: Structure, anew: bool) -> tuple[Spectrum, Fitted]:
+    """Spectrum and its final structure, searched for anew from a start or refitted."""
+    spectrum, found = searched(record, start) if anew else refitted(record, start)
+    found = _of_resonances(spectrum, found, record.n) if anew else found
+    spectrum, found = completed(record, spectrum, found, MARKOV in view.allowed)
+    return spectrum, _with_what_is_known(view, spectrum, _of_resonances(spectrum, found, record.n))
 
 
 #: Represents the response among the components of a group.
@@ -353,6 +368,8 @@ def _filter(view: View, found: Fitted) -> Candidate:
     ]
     corner = float(np.exp(log))
     doubt = _doubt_of_filter(structure, rate, corner)
+    if not std < _VAGUE:
+        doubt, estimates = "its bandwidth is undetermined", estimates[1:]
     return _described(view, LOW_PASS, estimates, (corner, rate / 2.0), doubt)
 
 

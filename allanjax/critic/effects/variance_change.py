@@ -142,6 +142,7 @@ class VarianceChange(Effect):
     """A time span, as likely to an end of the record as within, of another variance of (white) noise."""
 
     name = "variance_change"
+    is_event = True
 
     def p_value(self, view: View) -> float:
         return _p_value(_kinds(view))

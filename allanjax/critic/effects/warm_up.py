@@ -24,6 +24,7 @@ class WarmUp(Effect):
     """Exponential a·exp(−t/T), T from 1/500 to 1/2 of the record; a slower one is a ramp."""
 
     name = "warm_up"
+    is_event = True
     refit = "at once"
     sensible: ClassVar = {"time_constant": TIMES._replace(may_be_a_limit=True)}
 

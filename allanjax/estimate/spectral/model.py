@@ -25,11 +25,9 @@ from jaxtyping import Bool, Float, Int
 
 from allanjax.estimate.spectral import components as kinds
 from allanjax.estimate.spectral.components import Levels, Others
-from allanjax.noise.model import Model
 from allanjax.noise.response import Response
 from allanjax.noise.terms import (
     AngleRandomWalk,
-    Markov,
     NoiseTerm,
     Resonance,
     WanderingResonance,
@@ -179,7 +177,8 @@ def markov(time: float, power: float) -> Component:
     return Component(kinds.MARKOV, power, (math.log(time),), True)
 
 
-def _column(which: int) -> Component:
+def of_column(which: int) -> Component:
+    """Component of a column, without power."""
     # The output is rounded; and a term of its own kind may have no closed form behind a response.
     return Component(kinds.COLUMN, inside=which not in (QUANTIZATION, OUTSIDE, FURTHER), which=which)
 
@@ -286,7 +285,7 @@ class Structure:
     @classmethod
     def plain(cls, columns: Iterable[int]) -> Structure:
         """Structure of some columns only, of which all but quantization pass through a response, if any."""
-        return cls(tuple(map(_column, columns)))
+        return cls(tuple(map(of_column, columns)))
 
     def place(self, column: int) -> int | None:
         """Place of a column among the components; None if it is not one of them."""
@@ -296,7 +295,7 @@ class Structure:
     def column(self, column: int) -> Component:
         """The component of a column, without power if there is none."""
         k = self.place(column)
-        return _column(column) if k is None else self.components[k]
+        return of_column(column) if k is None else self.components[k]
 
     @property
     def there(self) -> list[int]:
@@ -753,33 +752,3 @@ class Spectrum:
             rounded = structure.column(QUANTIZATION)
             more += 1 + (rounded.power > 0.0) * (1 + rounded.inside)
         return float(-found.loss - 0.5 * logdet - PRICE * more)
-
-
-def model_of(structure: Structure, rate: float) -> Model:
-    """Model with the values of a structure for samples at `rate` [Hz]."""
-    terms = [(term_of(structure, k, rate), structure.components[k].inside) for k in structure.there]
-    response = response_of(structure, rate)
-    if response is None:
-        return Model(tuple(term for term, _ in terms))
-    inside, after = (Model(tuple(term for term, passes in terms if passes == side)) for side in (True, False))
-    return (response * inside if len(inside) else inside) + after
-
-
-def term_of(structure: Structure, k: int, rate: float) -> NoiseTerm:
-    """Term of component k; before the response if it passes through it."""
-    component = structure.components[k]
-    root = math.sqrt(component.power)
-    if component.kind == kinds.MARKOV:
-        time = component.time / rate
-        return Markov(math.sqrt(2.0 / time) * root, time)
-    if component.kind == kinds.OSCILLATOR:
-        return Resonance(root, component.frequency * rate / (2.0 * np.pi), component.quality)
-    if component.kind == kinds.WANDERING:
-        w, excess, spread = np.exp(component.shape).tolist()
-        hertz = rate / (2.0 * np.pi)
-        return WanderingResonance(root, w * hertz, 0.5 + excess, spread * hertz)
-    if component.which < OUTSIDE:
-        return basic_terms()[FIXED[component.which]].replace(coefficient=root)
-    if component.which == FURTHER and (further := structure.further) is not None:
-        return further.replace(**{further.amplitude_parameter().name: root})
-    return AngleRandomWalk(root)
