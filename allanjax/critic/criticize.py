@@ -96,6 +96,13 @@ def criticize(
     with ThreadPoolExecutor(_WORKERS) as pool:
         found = tuple(pool.map(_guarded(told, recording.axes, failed), range(len(searches))))
     _left(recording, failed)
+    axes, dead = tuple(a for a in found if a is not None), (*recording.dead, *failed.values())
+    notes = _notes(recording, fit, searches)
+    return Critique(recording.name, recording.rate, fit, axes, shared, notes, dead)
+
+
+def _notes(recording: Recording, fit: Fit, searches: Sequence[Search]) -> tuple[str, ...]:
+    """Notes of the fit, and those on the search."""
     notes = [*fit.notes]
     if recording.others:
         notes.append(
@@ -107,9 +114,7 @@ def criticize(
         for r in fit.results
         if not r.converged
     ]
-    notes += [note for s in searches for note in s.notes]
-    axes, dead = tuple(a for a in found if a is not None), (*recording.dead, *failed.values())
-    return Critique(recording.name, recording.rate, fit, axes, shared, tuple(notes), dead)
+    return (*notes, *(note for s in searches for note in s.notes))
 
 
 def _guarded(
