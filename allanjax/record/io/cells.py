@@ -9,8 +9,10 @@ from allanjax.record.units import NUMBER, is_unit
 
 # Dates and clocks; and with numbers, missing ones and words of bits, what varies from one line to the next.
 _DATE = r"\d{1,4}(?:-\d\d?-|/\d\d?/|\.\d\d?\.)\d{1,4}"
-_CLOCK = r"\d\d?:\d\d:\d\d(?:[.,]\d+)?"
-TIME = rf"(?<![\w.])(?:{_DATE}(?:[T ]{_CLOCK}(?:Z|[+-]\d\d:?\d\d)?)?|{_CLOCK})"
+# A colon may be before milliseconds; beside a date, dots may be in place of colons; hours may be left out.
+_CLOCK, _DOTTED = r"\d\d?:\d\d:\d\d(?:[.,:]\d+)?", r"\d\d\.\d\d\.\d\d\.\d+"
+_MINUTES = r"\d\d?:\d\d\.\d+(?![:\d])"
+TIME = rf"(?<![\w.:])(?:{_DATE}(?:[T ](?:{_CLOCK}|{_DOTTED})(?:Z|[+-]\d\d:?\d\d)?)?|{_CLOCK}|{_MINUTES})"
 _NUMBER = rf"(?<![\w.^])(?<![A-Za-z^]-){NUMBER}(?![\dx])|\b(?:nan|null|none|inf(?:inity)?)\b"
 # A date with its offset after a blank, which between blanks might be a number.
 _WITH_ZONE = re.compile(rf"{TIME} [+-]\d\d:?\d\d")

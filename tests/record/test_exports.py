@@ -1,0 +1,88 @@
+"""Files as programs export them, with unusual times and tables, against what made them."""
+
+import warnings
+
+import numpy as np
+import pandas as pd
+import pytest
+from imu_columns import DEG, SIX, refused
+
+import allanjax as aj
+
+N, RATE = 400, 100.0
+GYRO = np.random.default_rng(3).normal([0.1, -0.2, 0.05], 0.08, (N, 3)).round(5)
+ACCEL = np.random.default_rng(4).normal([0.01, -0.02, 1.003], 0.002, (N, 3)).round(5)
+HEADER = "gyro_x [deg/s],gyro_y [deg/s],gyro_z [deg/s]"
+
+
+@pytest.fixture
+def written(tmp_path):
+    def written(lines, name="log.csv"):
+        (tmp_path / name).write_text("\n".join([*lines, ""]), encoding="utf-8")
+        return tmp_path / name
+
+    return written
+
+
+def is_right(recording, truth=GYRO * DEG, names=SIX[:3], rate=RATE):
+    """All samples and names, and the rate."""
+    assert (recording.names, recording.rate) == (tuple(names), pytest.approx(rate, rel=1e-6))
+    np.testing.assert_allclose(recording.values, truth, rtol=1e-12)
+    return recording
+
+
+def clock(milliseconds, marks="::."):
+    """A time of the day from 10:59:58 on, with these marks after hours, minutes and seconds."""
+    seconds, parts = divmod(milliseconds, 1000)
+    minutes = 659 + (58 + seconds) // 60
+    times = (minutes // 60, minutes % 60, (58 + seconds) % 60)
+    hour, minute, second = (f"{part:02d}" for part in times)
+    return f"{hour}{marks[0]}{minute}{marks[1]}{second}{marks[2]}{parts:03d}"
+
+
+CLOCKS = {
+    "a colon before the milliseconds": lambda t: clock(t, ":::"),
+    "a date before it": lambda t: f"2024-03-05 {clock(t, ':::')}",
+    "dots in place of colons": lambda t: f"2024-03-05T{clock(t, '...')}",
+    "no hours": lambda t: clock(t)[3:],
+}
+
+
+@pytest.mark.parametrize("written_as", CLOCKS.values(), ids=CLOCKS)
+@pytest.mark.parametrize("gap", [0, 3000, 2500])
+def test_a_clock_is_one_time_however_it_is_written(written, written_as, gap):
+    """A gap of whole seconds is one, where only milliseconds would show none; the clock passes an hour."""
+    times = 10 * np.arange(N) + gap * (np.arange(N) >= 150)
+    rows = [f"{written_as(int(t))},{x},{y},{z}" for t, (x, y, z) in zip(times, GYRO, strict=True)]
+    path = written([f"time,{HEADER}", *rows])
+    if not gap:
+        is_right(aj.read(path))
+        return
+    refused(path, f"'time' has a gap of {(gap + 10) / 1000} s ({gap / 10 + 1:.0f} intervals) before line 152")
+    longest = aj.read(path, gaps="segments")
+    is_right(longest, GYRO[150:] * DEG)
+    assert [found.samples for found in longest.gaps] == [gap // 10]
+
+
+def test_coarse_times_that_go_back_do_not_warn(written):
+    """Most of these times repeat, so that the usual interval is none."""
+    times = np.repeat(np.arange(N // 4), 4)
+    times[200] -= 2
+    path = written(
+        [f"time [s],{HEADER}", *(f"{t},{x},{y},{z}" for t, (x, y, z) in zip(times, GYRO, strict=True))]
+    )
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        refused(path, "'time [s]' goes back by 1 s at line 202")
+
+
+@pytest.mark.parametrize("orient", ["split", "columns", "index", "records", "table"])
+@pytest.mark.parametrize("is_indexed", [False, True])
+def test_data_frames_as_json(tmp_path, orient, is_indexed):
+    """All layouts keep the names; an index of times is a column that can be named."""
+    frame = pd.DataFrame({"t_s": np.arange(N) / RATE} | dict(zip(HEADER.split(","), GYRO.T, strict=True)))
+    options = {}
+    if is_indexed and orient != "records":
+        frame, options = frame.set_index("t_s"), {"time": "t_s" if orient == "table" else "index"}
+    frame.to_json(path := tmp_path / "frame.json", orient=orient, double_precision=15)
+    is_right(aj.read(path, **options))
