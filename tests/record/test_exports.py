@@ -86,3 +86,26 @@ def test_data_frames_as_json(tmp_path, orient, is_indexed):
         frame, options = frame.set_index("t_s"), {"time": "t_s" if orient == "table" else "index"}
     frame.to_json(path := tmp_path / "frame.json", orient=orient, double_precision=15)
     is_right(aj.read(path, **options))
+
+
+def of_database(is_bordered):
+    """Lines that psql, or mysql with its borders, prints of rows."""
+    names = ["ts", "gyro_x_rad_s", "gyro_y_rad_s", "gyro_z_rad_s"]
+    rows = [[f"2024-03-05 12:00:{k / RATE:06.3f}", *map(str, row)] for k, row in enumerate(GYRO)]
+    lines = [f" {' | '.join(f'{cell:>25}' for cell in cells)} " for cells in (names, *rows)]
+    rule = "+".join(["-" * 27] * len(names))
+    if is_bordered:
+        rule, lines = f"+{rule}+", [f"|{line}|" for line in lines]
+        return [rule, lines[0], rule, *lines[1:], rule, f"{N} rows in set (0.03 sec)"]
+    return [lines[0], rule, *lines[1:], f"({N} rows)", ""]
+
+
+@pytest.mark.parametrize("is_bordered", [False, True])
+def test_tables_that_databases_print(written, is_bordered):
+    """Rules, borders and the number of rows are no rows; a word in a cell is the only one and found."""
+    lines = of_database(is_bordered)
+    is_right(aj.read(written(lines, "out.txt")), GYRO)
+    place = 102 + 2 * is_bordered - 1
+    lines[place] = lines[place].replace(f"{GYRO[place - 2 - is_bordered][0]}", "broken")
+    error = refused(written(lines, "torn.txt"), f"line {place + 1} has 'broken'")
+    assert "more" not in str(error)

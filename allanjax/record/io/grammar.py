@@ -22,6 +22,7 @@ from allanjax.record.io.cells import (
     fits,
     has_decimal_commas,
     is_axis,
+    is_border,
     is_comment,
     is_decorated,
     is_number,
@@ -177,7 +178,7 @@ class Grammar:
         cells = trimmed(split(without_mark(text.replace("\n", " ")), self.delimiter))
         if [split_unit(cell)[0] for cell in cells] == [split_unit(label)[0] for label in self.labels or ()]:
             return "names"
-        if is_comment(text) or not re.search(r"\w", text):
+        if is_comment(text) or is_border(text) or not re.search(r"\w", text):
             return "comment"
         is_header = self.delimiter is not None and len(cells) > 1 and not any(map(is_number, cells))
         has_names = is_header and any(recognise(cell).role != "auxiliary" for cell in cells)
@@ -188,7 +189,7 @@ class Grammar:
 
     def _cells(self, text: str) -> list[str] | None:
         """The cells of a line: an empty list if it is damaged, None if it is something else."""
-        if is_comment(text):
+        if is_comment(text) or is_border(text):
             return None
         cells = split(self._bare(text), self.delimiter)
         cells = cells[: self.fields] if fits(cells, self.fields) else trimmed(cells)
@@ -320,7 +321,9 @@ class _Line(NamedTuple):
 
 def _plain(head: Sequence[Numbered]) -> Grammar | None:
     """Return the grammar of lines that are cells between delimiters; None if none of them is a row."""
-    head = [(number, text) for number, text in head if text.strip(" ")]
+    head = [(number, text) for number, text in head if text.strip(" ") and not is_border(text)]
+    if not head:
+        return None
     sep = _SEP.fullmatch(head[0][1])
     lines, has_commas, has_groups = [], False, False
     for number, text in head[1:] if sep else head:
@@ -383,7 +386,8 @@ def _are_plain(names: Sequence[str], line: _Line) -> bool:
 
 def _is_regular(found: Grammar, texts: Sequence[str]) -> bool:
     """Whether nearly all lines of the data are rows."""
-    rows = [found.is_whole(x) for x in texts[found.start : FIRST_LINES] if x.strip() and not is_comment(x)]
+    lines = [text for text in texts[found.start : FIRST_LINES] if text.strip()]
+    rows = [found.is_whole(text) for text in lines if not (is_comment(text) or is_border(text))]
     return sum(rows) >= _REGULAR * len(rows)
 
 
