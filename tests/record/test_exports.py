@@ -109,3 +109,22 @@ def test_tables_that_databases_print(written, is_bordered):
     lines[place] = lines[place].replace(f"{GYRO[place - 2 - is_bordered][0]}", "broken")
     error = refused(written(lines, "torn.txt"), f"line {place + 1} has 'broken'")
     assert "more" not in str(error)
+
+
+@pytest.mark.parametrize("rate", [476.0, 800.0, 980.0])
+def test_gaps_between_stamps_rounded_to_a_millisecond(written, rate):
+    """Steps that rounding makes are no gaps, which lie between parts of known lengths."""
+    n, sizes = 20_000, [4000, 8000, 5000, 3000]
+    firsts, lost = np.cumsum(sizes)[:-1], np.array([160, 800, 401])
+    places = np.arange(n) + (np.arange(n)[:, None] >= firsts) @ lost
+    x = np.random.default_rng(5).normal(0.0, 0.1, (n, 3)).round(5)
+    stamps = np.floor(1234 + 1e3 * places / rate).astype(int)
+    rows = [f"{t},{','.join(map(str, row))}" for t, row in zip(stamps, x.tolist(), strict=True)]
+    path = written([f"millis,{HEADER}", *rows])
+    if rate < 900.0:
+        refused(path, f"whole multiples of {1e3 / rate:.3g} ms, so that 1,361 of 21,361 samples")
+    recording = aj.read(path, gaps="segments")
+    np.testing.assert_allclose(recording.values, x[4000:12_000] * DEG, rtol=1e-12)
+    assert recording.rate == pytest.approx(rate, rel=1e-4)
+    # A gap begins and ends at rounded times.
+    assert [gap.samples for gap in recording.gaps] == pytest.approx(lost, abs=1.0)
