@@ -5,9 +5,10 @@ import warnings
 import numpy as np
 import pandas as pd
 import pytest
-from imu_columns import DEG, SIX, refused
+from imu_columns import DEG, SIX, noted, refused
 
 import allanjax as aj
+from allanjax.base.errors import MixedRatesError
 
 N, RATE = 400, 100.0
 GYRO = np.random.default_rng(3).normal([0.1, -0.2, 0.05], 0.08, (N, 3)).round(5)
@@ -128,3 +129,23 @@ def test_gaps_between_stamps_rounded_to_a_millisecond(written, rate):
     assert recording.rate == pytest.approx(rate, rel=1e-4)
     # A gap begins and ends at rounded times.
     assert [gap.samples for gap in recording.gaps] == pytest.approx(lost, abs=1.0)
+
+
+def test_rows_of_sensors_that_comments_name(written):
+    """Rows of GnssLogger begin with the name of a sensor, or of others with more or fewer columns."""
+    lines = ["# Version: v3.0.6.4", "# ", "# Raw,utcTimeMillis,TimeNanos,LeapSecond", "# "]
+    units = {"Accel": ("Mps2", "Bias"), "Gyro": ("RadPerSec", "Drift")}
+    for sensor, (unit, offset) in units.items():
+        names = [f"{name}{axis}{unit}" for name in (f"Uncal{sensor}", offset) for axis in "XYZ"]
+        lines.append(",".join([f"# Uncal{sensor},utcTimeMillis,elapsedRealtimeNanos", *names]))
+    for k, rows in enumerate(zip(ACCEL.tolist(), GYRO.tolist(), strict=True)):
+        t = f"{1709640000000 + 10 * k},{98765432100 + 10_000_000 * k}"
+        lines += [
+            f"Uncal{sensor},{t},{str(row)[1:-1]},0.1,0.2,0.0" for sensor, row in zip(units, rows, strict=True)
+        ]
+        lines += [f"Raw,{1709640000000 + 10 * k},12345,18", f"Raw,{t},1,2,3,4,5,6,7,8"] * (k % 5 == 0)
+    path = written(lines, "gnss_log.txt")
+    refused(path, "rows of gyro and accel alternate|columns='gyro'", MixedRatesError)
+    is_right(aj.read(path, columns="gyro"), GYRO)
+    recording = is_right(aj.read(path, columns="accel"), ACCEL, SIX[3:])
+    assert noted(recording, "left out: 160 lines of other messages")

@@ -98,6 +98,7 @@ class Grammar:
         notes: what users should know.
         units: unit of each sensor that a published format fixes.
         sizes: sizes of counts, by sensor, that messages propose.
+        kinds: first words of rows, if comments before these name their columns for each of them.
     """
 
     start: int
@@ -112,6 +113,7 @@ class Grammar:
     notes: tuple[str, ...] = ()
     units: Mapping[Sensor, str] = field(default_factory=dict)
     sizes: Mapping[Sensor, str] = field(default_factory=dict)
+    kinds: frozenset[str] = frozenset()
 
     @property
     def has_axes(self) -> bool:
@@ -178,6 +180,8 @@ class Grammar:
         cells = trimmed(split(without_mark(text.replace("\n", " ")), self.delimiter))
         if [split_unit(cell)[0] for cell in cells] == [split_unit(label)[0] for label in self.labels or ()]:
             return "names"
+        if {*cells[:1]} & self.kinds:
+            return "known"
         if is_comment(text) or is_border(text) or not re.search(r"\w", text):
             return "comment"
         is_header = self.delimiter is not None and len(cells) > 1 and not any(map(is_number, cells))
@@ -201,6 +205,8 @@ class Grammar:
         missing = self.fields - len(cells)
         if missing == 0 and any(recognise(self.labels[k]).role == "time" for k in words if self.labels):
             return []
+        if missing and {*cells[:1]} & self.kinds:
+            return None
         if missing == 0:
             return cells if numbers & {*self.numeric} or not any(cells) else None
         if missing > 0:
@@ -348,8 +354,15 @@ def _plain(head: Sequence[Numbered]) -> Grammar | None:
         comment="%" if is_percent else "#",
         numeric=tuple(k for k, cell in enumerate(first.cells) if is_number(cell)),
         notes=(*["numbers with decimal commas"] * has_commas, *[_GROUPS] * (has_groups and not has_commas)),
+        kinds=_kinds(lines),
     )
     return _with_names(found, before)
+
+
+def _kinds(lines: Sequence[_Line]) -> frozenset[str]:
+    """Return the words at the start of comments with names that are those at the start of rows, too."""
+    named = {without_mark(line.text).split(",")[0] for line in lines if is_comment(line.text)}
+    return frozenset(named & {line.cells[0] for line in lines if line.numbers})
 
 
 def _first_row(lines: Sequence[_Line]) -> _Line | None:
@@ -387,7 +400,7 @@ def _are_plain(names: Sequence[str], line: _Line) -> bool:
 def _is_regular(found: Grammar, texts: Sequence[str]) -> bool:
     """Whether nearly all lines of the data are rows."""
     lines = [text for text in texts[found.start : FIRST_LINES] if text.strip()]
-    rows = [found.is_whole(text) for text in lines if not (is_comment(text) or is_border(text))]
+    rows = [found.is_whole(x) for x in lines if found.row(x) or found.kind(x) not in ("comment", "known")]
     return sum(rows) >= _REGULAR * len(rows)
 
 
