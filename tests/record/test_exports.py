@@ -149,3 +149,14 @@ def test_rows_of_sensors_that_comments_name(written):
     is_right(aj.read(path, columns="gyro"), GYRO)
     recording = is_right(aj.read(path, columns="accel"), ACCEL, SIX[3:])
     assert noted(recording, "left out: 160 lines of other messages")
+
+
+def test_decoded_frames_of_a_bus(written):
+    """Names, values and units behind a frame are read, whose bytes vary; other messages are left out."""
+    lines = []
+    for k, (x, y, z) in enumerate(GYRO.tolist()):
+        frame = f" ({1709640000 + k / RATE:.6f})  can0  174   [8]  00 8{k % 10} A{k % 7} 80 00 00 00 00 :: "
+        lines += [f"{frame}IMU_GYRO(GyroX: {x} deg/s, GyroY: {y} deg/s, GyroZ: {z} deg/s)"]
+        lines += [f"{frame.replace('174', '178')}STATE(Volt: {12 + k % 3} V)"]
+    recording = is_right(aj.read(written(lines, "candump.log")))
+    assert noted(recording, "left out: 400 lines of other messages")

@@ -49,7 +49,7 @@ _RATE = re.compile(
 )
 # Lines that are no rows of numbers before they are converted, and how.
 _RAW = {
-    r"^\s*(?:\(\d+\.\d+\)\s+)?\w*can\d+\s+[\dA-Fa-f]{3,8}(?:#|\s+\[\d+\])": (
+    r"^\s*(?:\(\d+\.\d+\)\s+)?\w*can\d+\s+[\dA-Fa-f]{3,8}(?:#|\s+\[\d+\])(?!.* :: )": (
         "these are raw frames of a CAN bus; decode them with the description of the bus (a DBC file), e.g. "
         "with cantools or SavvyCAN, into a table with a column per signal"
     ),

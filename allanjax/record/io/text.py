@@ -34,6 +34,8 @@ _ZEROS = re.compile(rb"\0{16,}|\0+$")
 _NOT_AVAILABLE = re.compile(rb"#(?:N/A|DIV/0!|NUM!|VALUE!|REF!)")
 # Codes by which terminals change the colour.
 _COLOURS = re.compile(rb"\x1b\[[\d;]*[A-Za-z]")
+# The frame of a CAN bus before what it means, as `cantools decode --single-line` writes them.
+_FRAME = re.compile(rb"\S*can\d+ +[\dA-Fa-f]+ +\[\d+\][ \dA-Fa-f]*:: ")
 # Exponent of a number as Fortran writes it.
 _FORTRAN = re.compile(rb"(\d\.?)[Dd]([+-]\d\d)")
 # What stands for no number, beside what pandas knows.
@@ -141,9 +143,10 @@ def _pieces(path: Path, source: Source, notes: list[str]) -> Iterator[bytes]:
 
 
 def _cleaned(text: bytes) -> bytes:
-    """Text without colours of a terminal, errors of spreadsheets, and units that were decoded wrongly."""
+    """Text without colours, errors of spreadsheets, wrongly decoded units, and frames with their meaning."""
     text = _NOT_AVAILABLE.sub(b"nan", text) if b"#" in text else text
     text = _COLOURS.sub(b"", text) if b"\x1b" in text else text
+    text = _FRAME.sub(b"", text) if b"] " in text and b" :: " in text else text
     return text.replace("Â".encode() + b"\xc2", b"\xc2")
 
 
