@@ -1,11 +1,13 @@
 """Files as programs export them, with unusual times and tables, against what made them."""
 
+import gzip
+import subprocess
 import warnings
 
 import numpy as np
 import pandas as pd
 import pytest
-from imu_columns import DEG, SIX, noted, refused
+from imu_columns import DEG, G0, SIX, noted, refused
 
 import allanjax as aj
 from allanjax.base.errors import MixedRatesError
@@ -160,3 +162,20 @@ def test_decoded_frames_of_a_bus(written):
         lines += [f"{frame.replace('174', '178')}STATE(Volt: {12 + k % 3} V)"]
     recording = is_right(aj.read(written(lines, "candump.log")))
     assert noted(recording, "left out: 400 lines of other messages")
+
+
+@pytest.mark.parametrize("name", ["stacked.csv", "stacked.csv.gz"])
+def test_a_table_below_another_is_named_with_what_reads_it(tmp_path, name):
+    """Each sensor has a table of its own; the command in the note writes the second one."""
+    lines = []
+    for sensor, unit, samples in (("A", "g", ACCEL), ("G", "deg/s", GYRO)):
+        lines += [f"[{sensor}]", ",".join(["Time [us]", *(f"{sensor}_{axis} [{unit}]" for axis in "XYZ")])]
+        lines += [f"{10_000 * k},{str(row)[1:-1]}" for k, row in enumerate(samples.tolist())]
+    content = "\n".join([*lines, ""]).encode()
+    path = tmp_path / name
+    path.write_bytes(gzip.compress(content) if name.endswith("gz") else content)
+    recording = is_right(aj.read(path), ACCEL * G0, SIX[3:])
+    (note,) = (note for note in recording.notes if "another table" in note)
+    assert "from line 404 on, 'Time [us],G_X [deg/s]," in note
+    subprocess.run(note.partition("run ")[2], shell=True, check=True, cwd=tmp_path)
+    is_right(aj.read(tmp_path / "table-404.csv"))

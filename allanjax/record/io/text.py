@@ -6,6 +6,7 @@ import gzip
 import io
 import itertools
 import re
+import shlex
 from bisect import bisect_right
 from collections import Counter
 from collections.abc import Iterable, Iterator
@@ -225,6 +226,8 @@ class _Reader:
         self._trailing = 0
         self._examples: list[str] = []
         self._is_in_table = True
+        # Numbers and names of other tables.
+        self._tables: list[tuple[int, str]] = []
 
     def columns(self, block: _Block) -> Columns:
         """Return the columns of the rows in the next block.
@@ -263,6 +266,13 @@ class _Reader:
         for kind, words in what.items():
             if self._counts[kind]:
                 self.notes.append(f"left out: {counted(self._counts[kind], 'line')} {words}")
+        path = shlex.quote(self._source.label)
+        opened = f"gzip -cd {path}" if path.rstrip("'").endswith(".gz") else f"cat {path}"
+        for number, text in self._tables:
+            command = f"{opened} | tail -n +{number} > table-{number}.csv"
+            self.notes.append(
+                f"another table from line {number} on, {text[:80]!r}: to read it, run {command}"
+            )
 
     def locate(self, row: int, blocks: Iterable[_Block]) -> str:
         """Return the place of a row in words, with its text if it is damaged."""
@@ -331,6 +341,8 @@ class _Reader:
                 return
             if kind in ("names", "end"):
                 self._is_in_table = kind == "names"
+            if kind == "end" and names_axes(text):
+                self._tables.append((number + 1, text.strip()))
             if kind in ("row", "strange", "end") and not self._is_in_table:
                 kind = "known"
             if kind == "strange":
