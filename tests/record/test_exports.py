@@ -179,3 +179,23 @@ def test_a_table_below_another_is_named_with_what_reads_it(tmp_path, name):
     assert "from line 404 on, 'Time [us],G_X [deg/s]," in note
     subprocess.run(note.partition("run ")[2], shell=True, check=True, cwd=tmp_path)
     is_right(aj.read(tmp_path / "table-404.csv"))
+
+
+def test_sensors_side_by_side_with_times_of_their_own(written):
+    """Names that the message proposes read each sensor up to its last row, where the other one goes on."""
+    names = [
+        f"X [s],IM 1: {sensor}.{axis} 1 [{unit}]"
+        for sensor, unit in (("Acc", "g"), ("Gyro", "deg/s"))
+        for axis in "XYZ"
+    ]
+    lines = [",".join(names)]
+    for k in range(N):
+        cells = [f"{k / RATE},{x}" for x in ACCEL[k]]
+        lines.append(
+            ",".join([*cells, *([f"{2 * k / RATE},{x}" for x in GYRO[k]] if k < 200 else [","] * 3)])
+        )
+    path = written(lines)
+    accel, gyro = "time,accel_x,-,accel_y,-,accel_z,-,-,-,-,-,-", "-,-,-,-,-,-,time,gyro_x,-,gyro_y,-,gyro_z"
+    refused(path, f"several columns are called 'X [s]'|columns='{accel}'|columns='{gyro}'")
+    is_right(aj.read(path, columns=accel), ACCEL * G0, SIX[3:])
+    is_right(aj.read(path, columns=gyro), GYRO[:200] * DEG, rate=RATE / 2)

@@ -91,6 +91,7 @@ class Record:
             RecordingError: values or times that are no numbers, too few samples, or times that are not even.
         """
         rate, rate_notes = stated_rate(table, layout, options.rate)
+        columns = _to_the_end(layout, columns)
         times = Times.of(table, layout, columns, rate, options)
         order = None if options.uniform else sorted_by(times.seconds)
         if order is not None:
@@ -274,6 +275,18 @@ def own_rows(part: Rows, columns: Sequence[Column]) -> Chosen:
         "a recording has one rate; read one sensor with columns='gyro' or columns='accel'"
     )
     raise MixedRatesError(str(error), tuple(map(str, fresh)))
+
+
+def _to_the_end(layout: Layout, columns: Columns) -> Columns:
+    """Return columns up to the last row with a time or a sample; sensors beside these may have more."""
+    if not layout.clock:
+        return columns
+    used = [columns[column.index] for column in (*layout.clock, *layout.columns)]
+    if any(column[-1] == column[-1] for column in used if len(column)):
+        return columns
+    there = np.flatnonzero(np.any([column == column for column in used], axis=0))
+    end = int(there[-1]) + 1 if there.size else len(columns[0])
+    return tuple(column[:end] for column in columns)
 
 
 def _segments(part: Rows, stamps: Stamps | None) -> tuple[Rows, Segments]:
