@@ -9,8 +9,10 @@ from allanjax.record.units import NUMBER, is_unit
 
 # Dates and clocks; and with numbers, missing ones and words of bits, what varies from one line to the next.
 _DATE = r"\d{1,4}(?:-\d\d?-|/\d\d?/|\.\d\d?\.)\d{1,4}"
-_CLOCK = r"\d\d?:\d\d:\d\d(?:[.,]\d+)?"
-TIME = rf"(?<![\w.])(?:{_DATE}(?:[T ]{_CLOCK}(?:Z|[+-]\d\d:?\d\d)?)?|{_CLOCK})"
+# A colon may be before milliseconds; beside a date, dots may be in place of colons; hours may be left out.
+_CLOCK, _DOTTED = r"\d\d?:\d\d:\d\d(?:[.,:]\d+)?", r"\d\d\.\d\d\.\d\d\.\d+"
+_MINUTES = r"\d\d?:\d\d\.\d+(?![:\d])"
+TIME = rf"(?<![\w.:])(?:{_DATE}(?:[T ](?:{_CLOCK}|{_DOTTED})(?:Z|[+-]\d\d:?\d\d)?)?|{_CLOCK}|{_MINUTES})"
 _NUMBER = rf"(?<![\w.^])(?<![A-Za-z^]-){NUMBER}(?![\dx])|\b(?:nan|null|none|inf(?:inity)?)\b"
 # A date with its offset after a blank, which between blanks might be a number.
 _WITH_ZONE = re.compile(rf"{TIME} [+-]\d\d:?\d\d")
@@ -20,6 +22,10 @@ _DECORATED = re.compile(r".*[\[({<=>|]\s*[-+]?\.?\d|:\s*[-+.\d]|[-+]?\.?\d.*[^\w
 # Numbers with a decimal comma, and numbers whose commas separate thousands.
 _COMMA = re.compile(r"[+-]?\d+,\d+(?:[eE][+-]?\d+)?")
 _THOUSANDS = re.compile(r"[+-]?[1-9]\d{0,2}(?:,\d{3})+(?:\.\d*)?")
+# Rules that databases draw between rows, and the number of rows that they write below them.
+_BORDER = re.compile(
+    r"[\s|+:=─┼-]*(?:-{4}|={4}|-\+-|─)[\s|+:=─┼-]*|\s*\(?\d+ (?:rows?|Zeilen?|lignes?|filas?)\b.*"
+)
 # Marks at the start of comments.
 _COMMENT = ("#", "%", "//")
 _BEFORE_NAMES = re.compile(r"^\s*(?:[#/;!*>]+|%+\s|--+|REM\s)\s*")
@@ -28,6 +34,11 @@ _BEFORE_NAMES = re.compile(r"^\s*(?:[#/;!*>]+|%+\s|--+|REM\s)\s*")
 def is_comment(text: str) -> bool:
     """Whether a line is a comment."""
     return text.lstrip().startswith(_COMMENT)
+
+
+def is_border(text: str) -> bool:
+    """Whether a line is a rule between the rows of a table, or says how many these are."""
+    return _BORDER.fullmatch(text) is not None
 
 
 def without_mark(text: str) -> str:
@@ -74,6 +85,9 @@ def split(text: str, delimiter: str | None) -> list[str]:
     if delimiter is None:
         # A unit belongs to the name before it and may contain spaces.
         return re.split(r"\s+(?![\[(]|[^\[\](]*[\])])", text.strip())
+    if delimiter == "|":
+        # Bars may be around a row, too.
+        text = re.sub(r"^\s*\|(.*)\|\s*$", r"\1", text)
     cells = next(csv.reader([text.strip(" \r\n")], delimiter=delimiter, skipinitialspace=True), [])
     return [cell.strip() for cell in cells]
 

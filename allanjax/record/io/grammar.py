@@ -22,6 +22,7 @@ from allanjax.record.io.cells import (
     fits,
     has_decimal_commas,
     is_axis,
+    is_border,
     is_comment,
     is_decorated,
     is_number,
@@ -48,7 +49,7 @@ _RATE = re.compile(
 )
 # Lines that are no rows of numbers before they are converted, and how.
 _RAW = {
-    r"^\s*(?:\(\d+\.\d+\)\s+)?\w*can\d+\s+[\dA-Fa-f]{3,8}(?:#|\s+\[\d+\])": (
+    r"^\s*(?:\(\d+\.\d+\)\s+)?\w*can\d+\s+[\dA-Fa-f]{3,8}(?:#|\s+\[\d+\])(?!.* :: )": (
         "these are raw frames of a CAN bus; decode them with the description of the bus (a DBC file), e.g. "
         "with cantools or SavvyCAN, into a table with a column per signal"
     ),
@@ -99,6 +100,7 @@ class Grammar:
         notes: what users should know.
         units: unit of each sensor that a published format fixes.
         sizes: sizes of counts, by sensor, that messages propose.
+        kinds: first words of rows, if comments before these name their columns for each of them.
     """
 
     start: int
@@ -113,6 +115,7 @@ class Grammar:
     notes: tuple[str, ...] = ()
     units: Mapping[Sensor, str] = field(default_factory=dict)
     sizes: Mapping[Sensor, str] = field(default_factory=dict)
+    kinds: frozenset[str] = frozenset()
 
     @property
     def has_axes(self) -> bool:
@@ -179,7 +182,9 @@ class Grammar:
         cells = trimmed(split(without_mark(text.replace("\n", " ")), self.delimiter))
         if [split_unit(cell)[0] for cell in cells] == [split_unit(label)[0] for label in self.labels or ()]:
             return "names"
-        if is_comment(text) or not re.search(r"\w", text):
+        if {*cells[:1]} & self.kinds:
+            return "known"
+        if is_comment(text) or is_border(text) or not re.search(r"\w", text):
             return "comment"
         is_header = self.delimiter is not None and len(cells) > 1 and not any(map(is_number, cells))
         has_names = is_header and any(recognise(cell).role != "auxiliary" for cell in cells)
@@ -190,7 +195,7 @@ class Grammar:
 
     def _cells(self, text: str) -> list[str] | None:
         """The cells of a line: an empty list if it is damaged, None if it is something else."""
-        if is_comment(text):
+        if is_comment(text) or is_border(text):
             return None
         cells = split(self._bare(text), self.delimiter)
         cells = cells[: self.fields] if fits(cells, self.fields) else trimmed(cells)
@@ -202,6 +207,8 @@ class Grammar:
         missing = self.fields - len(cells)
         if missing == 0 and any(recognise(self.labels[k]).role == "time" for k in words if self.labels):
             return []
+        if missing and {*cells[:1]} & self.kinds:
+            return None
         if missing == 0:
             return cells if numbers & {*self.numeric} or not any(cells) else None
         if missing > 0:
@@ -322,7 +329,9 @@ class _Line(NamedTuple):
 
 def _plain(head: Sequence[Numbered]) -> Grammar | None:
     """Return the grammar of lines that are cells between delimiters; None if none of them is a row."""
-    head = [(number, text) for number, text in head if text.strip(" ")]
+    head = [(number, text) for number, text in head if text.strip(" ") and not is_border(text)]
+    if not head:
+        return None
     sep = _SEP.fullmatch(head[0][1])
     lines, has_commas, has_groups = [], False, False
     for number, text in head[1:] if sep else head:
@@ -347,8 +356,15 @@ def _plain(head: Sequence[Numbered]) -> Grammar | None:
         comment="%" if is_percent else "#",
         numeric=tuple(k for k, cell in enumerate(first.cells) if is_number(cell)),
         notes=(*["numbers with decimal commas"] * has_commas, *[_GROUPS] * (has_groups and not has_commas)),
+        kinds=_kinds(lines),
     )
     return _with_names(found, before)
+
+
+def _kinds(lines: Sequence[_Line]) -> frozenset[str]:
+    """Return the words at the start of comments with names that are those at the start of rows, too."""
+    named = {without_mark(line.text).split(",")[0] for line in lines if is_comment(line.text)}
+    return frozenset(named & {line.cells[0] for line in lines if line.numbers})
 
 
 def _first_row(lines: Sequence[_Line]) -> _Line | None:
@@ -385,7 +401,8 @@ def _are_plain(names: Sequence[str], line: _Line) -> bool:
 
 def _is_regular(found: Grammar, texts: Sequence[str]) -> bool:
     """Whether nearly all lines of the data are rows."""
-    rows = [found.is_whole(x) for x in texts[found.start : FIRST_LINES] if x.strip() and not is_comment(x)]
+    lines = [text for text in texts[found.start : FIRST_LINES] if text.strip()]
+    rows = [found.is_whole(x) for x in lines if found.row(x) or found.kind(x) not in ("comment", "known")]
     return sum(rows) >= _REGULAR * len(rows)
 
 

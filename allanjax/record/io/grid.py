@@ -180,7 +180,13 @@ class Stamps:
         numbers = np.rint((self.seconds - self.seconds[0]) / self.step).astype(int)
         numbers = numbers[numbers < _BINS]
         size, n = int(numbers[-1]) + 1, len(self.seconds)
-        power = abs(np.fft.rfft(np.bincount(numbers) - len(numbers) / size)) ** 2
+        # Long gaps would hide the line of a rate near that of the steps, which is seen near zero.
+        long = np.flatnonzero(np.diff(numbers) > _ABOUT * self._typical / self.step)
+        within = np.ones(size)
+        for first, last in zip(numbers[long], numbers[long + 1], strict=True):
+            within[first + 1 : last] = 0.0
+        density = len(numbers) / within.sum()
+        power = abs(np.fft.rfft(np.bincount(numbers) - density * within)) ** 2
         mean = len(numbers) / (size * self.step)
         rates = np.arange(mean, mean / (1.0 - MOST_MISSING), 0.5 / (size * self.step))
         # Two samples are as many steps apart as the interval has, or one more.
@@ -207,6 +213,17 @@ class Stamps:
         places -= places[0]
         # Each sample has a place of its own.
         return np.maximum.accumulate(places - np.arange(n)) + np.arange(n)
+
+    @cached_property
+    def after_gaps(self) -> Chosen:
+        """Which samples follow a gap, or follow the clock being set back; rounding makes no gaps."""
+        if not self._is_coarse:
+            return after_gaps(self.seconds)
+        if self._demodulated is not None:
+            return np.concatenate([[False], np.diff(self._demodulated) > 1])
+        # Rounding makes an interval longer by one step at most.
+        beyond = self._intervals > self._typical + 1.5 * self.step
+        return after_gaps(self.seconds) & np.concatenate([[False], beyond])
 
     def _with_lost(self, places: Places, rate: float | None, gaps: bool) -> Grid:
         """Return the grid of samples at these places, some of which are missing."""
@@ -324,7 +341,8 @@ class Stamps:
         usual = np.zeros(_BLOCKS)
         for k, block in enumerate(np.array_split(intervals, _BLOCKS)):
             typical = np.median(block)
-            usual[k] = np.mean(block[abs(block - typical) <= 0.5 * typical])
+            # Rounding makes an interval longer or shorter by a step.
+            usual[k] = np.mean(block[abs(block - typical) <= max(0.5 * typical, 1.5 * self.step)])
         edges = np.linspace(0, len(intervals), _BLOCKS + 1).astype(int)
         # A block within which the rate changes has an interval of its own.
         levels = np.flatnonzero(abs(np.diff(usual)) < MAX_RATE_DIFFERENCE * usual[:-1]).tolist()
@@ -367,7 +385,7 @@ class Stamps:
         every = lost + len(self.seconds)
         interval = float(self.seconds[-1] - self.seconds[0]) / (every - 1)
         return (
-            f"intervals are whole multiples of {_short(interval)}, so that {lost:,} of {every:,} samples "
+            f"intervals are whole multiples of {_short(interval, 3)}, so that {lost:,} of {every:,} samples "
             f"({percent(lost / every)}) are missing"
         )
 
@@ -525,12 +543,12 @@ def gaps_in(times: Seconds) -> Bool[np.ndarray, " intervals"]:
     return gaps
 
 
-def _short(time: float) -> str:
+def _short(time: float, digits: int = 2) -> str:
     """Return a short time with its unit, e.g. "5 ms"."""
     for unit, size in (("s", 1.0), ("ms", 1e-3), ("µs", 1e-6)):
         if time >= size:
-            return f"{plain(time / size, 2)} {unit}"
-    return f"{plain(time / 1e-9, 2)} ns"
+            return f"{plain(time / size, digits)} {unit}"
+    return f"{plain(time / 1e-9, digits)} ns"
 
 
 def _start(time: float) -> str:

@@ -1,4 +1,7 @@
-"""Reader of JSON: an array of samples, arrays by name, or samples that name their sensor; in any nesting."""
+"""Reader of JSON: an array of samples, arrays by name, or samples that name their sensor; in any nesting.
+
+What pandas writes of a data frame is read in all its layouts.
+"""
 
 import json
 import re
@@ -12,7 +15,7 @@ import numpy as np
 from allanjax.record.io.arrays import from_named, stated_units
 from allanjax.record.io.table import Format, Table, damage_reported
 from allanjax.record.io.text import open_text
-from allanjax.record.validation import Source
+from allanjax.record.validation import MIN_SAMPLES, Source
 
 # A document begins with an array of objects, or with an object. Of objects in lines, which are text, only
 # those are read here that name their sensor.
@@ -40,6 +43,7 @@ def open_json(path: Path, source: Source) -> Table:
     import pandas as pd
 
     with damage_reported(source, "JSON", "write an object per sample"):
+        document = _as_records(document)
         records = _records(document)
         if not records:
             return from_named({name: np.asarray(x) for name, x in _flat(document, False)}, source)
@@ -47,6 +51,39 @@ def open_json(path: Path, source: Source) -> Table:
         columns = tuple(_numbers(frame[label]) for label in frame)
         units, notes = stated_units(dict(_flat(records[0], True)))
         return replace(Table.of(columns, tuple(map(str, frame)), source, notes=notes), units=units)
+
+
+def _as_records(document: Any) -> Any:
+    """Return the rows of a data frame as objects, from names beside rows, or objects by name or by row.
+
+    Other documents are unchanged. An index that does not just count rows is a column.
+    """
+    match document:
+        case {"columns": [*names], "data": [[*_], *_] as rows}:
+            index = document.get("index", range(len(rows)))
+            records = [dict(zip(names, row, strict=False)) for row in rows]
+        case dict() if _are_alike([*document.values()]):
+            inner = next(iter(document.values()))
+            if len(inner) > len(document):
+                index = [*inner]
+                records = [{name: own[key] for name, own in document.items()} for key in inner]
+            else:
+                index, records = [*document], [*document.values()]
+        case _:
+            return document
+    counts = all(str(key) == str(k) for k, key in enumerate(index))
+    return records if counts else [{"index": key, **row} for key, row in zip(index, records, strict=False)]
+
+
+def _are_alike(values: Sequence[Any]) -> bool:
+    """Return whether values are objects with the same names, and either these or the objects are many."""
+    if not values or not all(
+        isinstance(value, dict) and value.keys() == values[0].keys() for value in values
+    ):
+        return False
+    # Few objects with few names, such as a gyro and an accelerometer with arrays, are no rows.
+    plain = not any(isinstance(cell, dict | list) for cell in values[0].values())
+    return plain and max(len(values), len(values[0])) >= MIN_SAMPLES
 
 
 def _records(value: Any) -> Sequence[dict[str, Any]]:

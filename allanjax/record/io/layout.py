@@ -128,7 +128,7 @@ def _found(table: Table, first: Columns, options: ReadOptions) -> tuple[list[Col
         if repeated:
             raise table.source.error(
                 f"several columns are called {', '.join(map(repr, repeated))}; correct the header, or name "
-                "all with columns="
+                f"all with columns={_side_by_side(table.labels)}"
             )
         found = _recognised(table.labels)
     else:
@@ -176,6 +176,20 @@ def _as_time(column: Column, values: Cells, table: Table) -> Column:
     # Durations beside samples, such as a latency, do not increase from row to row.
     passes = _increases(values) if is_numeric(values) else are_times(values)
     return time if time is not None and passes else column
+
+
+def _side_by_side(labels: Sequence[str]) -> str:
+    """Return lists of names that read one sensor each, with the times before it; "" if there are none."""
+    found = [by_unit(column) for column in _recognised(labels)]
+    times = [c.index for c in found if c.role == "time" or (c.unit and is_unit(c.unit, "s"))]
+    told = []
+    for sensor in SENSORS:
+        axes = [c.index for c in found if c.role == "axis" and c.sensor == sensor]
+        own = [k for k in times if axes and k < axes[0]]
+        if len(axes) == len("xyz") and own:
+            names = {own[-1]: "time"} | {k: f"{sensor}_{axis}" for k, axis in zip(axes, "xyz", strict=True)}
+            told.append(f"'{','.join(names.get(k, '-') for k in range(len(labels)))}'")
+    return " or columns=".join(told)
 
 
 def _increases(values: Cells) -> bool:

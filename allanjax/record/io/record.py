@@ -12,7 +12,7 @@ from allanjax.base.wording import counted
 from allanjax.record.columns import Column, axes_by_sensor, with_unit
 from allanjax.record.completion import Gap, Segments, on_grid, segments_of, without_repeats
 from allanjax.record.io.absent import without_samples
-from allanjax.record.io.grid import Stamps, after_gaps
+from allanjax.record.io.grid import Stamps
 from allanjax.record.io.layout import Layout
 from allanjax.record.io.options import ReadOptions
 from allanjax.record.io.table import Columns, Table, as_float, is_numeric
@@ -91,6 +91,7 @@ class Record:
             RecordingError: values or times that are no numbers, too few samples, or times that are not even.
         """
         rate, rate_notes = stated_rate(table, layout, options.rate)
+        columns = _to_the_end(layout, columns)
         times = Times.of(table, layout, columns, rate, options)
         order = None if options.uniform else sorted_by(times.seconds)
         if order is not None:
@@ -108,7 +109,7 @@ class Record:
         others: tuple[Rows, ...] = ()
         gaps: tuple[Gap, ...] | None = None if stamps is None or options.uniform else ()
         if options.gaps == "segments":
-            longest, segments = _segments(part, even)
+            longest, segments = _segments(part, None if even else stamps)
             others = tuple(map(part.taken, segments.others))
             gaps = segments.gaps(part.seconds, 1.0 / longest.interval) or gaps
             notes += segments.notes(len(part.values))
@@ -276,9 +277,24 @@ def own_rows(part: Rows, columns: Sequence[Column]) -> Chosen:
     raise MixedRatesError(str(error), tuple(map(str, fresh)))
 
 
-def _segments(part: Rows, even: bool) -> tuple[Rows, Segments]:
-    """Return the longest segment without missing samples; and all, of which others have the same rate."""
-    after = np.zeros(len(part.values), bool) if even else after_gaps(part.seconds)
+def _to_the_end(layout: Layout, columns: Columns) -> Columns:
+    """Return columns up to the last row with a time or a sample; sensors beside these may have more."""
+    if not layout.clock:
+        return columns
+    used = [columns[column.index] for column in (*layout.clock, *layout.columns)]
+    if any(column[-1] == column[-1] for column in used if len(column)):
+        return columns
+    there = np.flatnonzero(np.any([column == column for column in used], axis=0))
+    end = int(there[-1]) + 1 if there.size else len(columns[0])
+    return tuple(column[:end] for column in columns)
+
+
+def _segments(part: Rows, stamps: Stamps | None) -> tuple[Rows, Segments]:
+    """Return the longest segment without missing samples; and all, of which others have the same rate.
+
+    Without stamps, samples are even.
+    """
+    after = np.zeros(len(part.values), bool) if stamps is None else stamps.after_gaps
     segments = segments_of(part.values, after)
     longest = part.taken(segments.longest)
     alike = []

@@ -6,6 +6,7 @@ import gzip
 import io
 import itertools
 import re
+import shlex
 from bisect import bisect_right
 from collections import Counter
 from collections.abc import Iterable, Iterator
@@ -37,6 +38,8 @@ _COLOURS = re.compile(rb"\x1b\[[\d;]*[A-Za-z]")
 # Bytes that are no ASCII, and Chinese characters among the most frequent in GB18030, of two bytes.
 _NOT_ASCII = re.compile(rb"[\x80-\xff]+")
 _CHINESE = re.compile(rb"[\xb0-\xd7][\xa1-\xfe]")
+# The frame of a CAN bus before what it means, as `cantools decode --single-line` writes them.
+_FRAME = re.compile(rb"\S*can\d+ +[\dA-Fa-f]+ +\[\d+\][ \dA-Fa-f]*:: ")
 # Exponent of a number as Fortran writes it.
 _FORTRAN = re.compile(rb"(\d\.?)[Dd]([+-]\d\d)")
 # What stands for no number, beside what pandas knows.
@@ -147,9 +150,10 @@ def _pieces(path: Path, source: Source, notes: list[str]) -> Iterator[bytes]:
 
 
 def _cleaned(text: bytes) -> bytes:
-    """Text without colours of a terminal, errors of spreadsheets, and units that were decoded wrongly."""
+    """Text without colours, errors of spreadsheets, wrongly decoded units, and frames with their meaning."""
     text = _NOT_AVAILABLE.sub(b"nan", text) if b"#" in text else text
     text = _COLOURS.sub(b"", text) if b"\x1b" in text else text
+    text = _FRAME.sub(b"", text) if b"] " in text and b" :: " in text else text
     return text.replace("Â".encode() + b"\xc2", b"\xc2")
 
 
@@ -240,6 +244,8 @@ class _Reader:
         self._trailing = 0
         self._examples: list[str] = []
         self._is_in_table = True
+        # Numbers and names of other tables.
+        self._tables: list[tuple[int, str]] = []
 
     def columns(self, block: _Block) -> Columns:
         """Return the columns of the rows in the next block.
@@ -278,6 +284,13 @@ class _Reader:
         for kind, words in what.items():
             if self._counts[kind]:
                 self.notes.append(f"left out: {counted(self._counts[kind], 'line')} {words}")
+        path = shlex.quote(self._source.label)
+        opened = f"gzip -cd {path}" if path.rstrip("'").endswith(".gz") else f"cat {path}"
+        for number, text in self._tables:
+            command = f"{opened} | tail -n +{number} > table-{number}.csv"
+            self.notes.append(
+                f"another table from line {number} on, {text[:80]!r}: to read it, run {command}"
+            )
 
     def locate(self, row: int, blocks: Iterable[_Block]) -> str:
         """Return the place of a row in words, with its text if it is damaged."""
@@ -346,6 +359,8 @@ class _Reader:
                 return
             if kind in ("names", "end"):
                 self._is_in_table = kind == "names"
+            if kind == "end" and names_axes(text):
+                self._tables.append((number + 1, text.strip()))
             if kind in ("row", "strange", "end") and not self._is_in_table:
                 kind = "known"
             if kind == "strange":

@@ -4,7 +4,7 @@ import re
 import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 from jaxtyping import Int
@@ -16,6 +16,9 @@ from allanjax.record.io.table import as_float, is_numeric
 from allanjax.record.shapes import Cells, Seconds
 from allanjax.record.units import convert, is_unit, same_unit
 from allanjax.record.validation import Source
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 Stamps = Sequence[Cells]
 #: What stamps are: numbers in a unit, whole seconds and parts of them, dates, or times of the day.
@@ -41,8 +44,11 @@ _UNIX_SECONDS = (1e9, 3e9)
 _PLAUSIBLE_RATES = (1.0, 2e4)
 # Stamps from which the resolution is determined.
 _LOOKED_AT = 1 << 15
-# Times of the day, and a date with its zone.
-_CLOCK = re.compile(r"\s*(\d{1,2}):(\d\d):(\d\d(?:[.,]\d+)?)\s*([ap]\.?m\.?)?\s*", re.IGNORECASE)
+# Times of the day, or of the hour; a date with its zone; milliseconds after a colon, and a clock with dots.
+_CLOCK = re.compile(
+    r"\s*(?:(\d{1,2}):(?=\d\d:))?(\d{1,2}):(\d\d(?:\.\d+)?)\s*([ap]\.?m\.?)?\s*", re.IGNORECASE
+)
+_MILLISECONDS, _DOTTED = re.compile(r"(:\d\d:\d\d):(\d+)"), re.compile(r"(?<=[T ])(\d\d)\.(\d\d)\.(?=\d\d\.)")
 _ZONE = re.compile(r"(?:Z|[+-]\d\d:?\d\d)\s*$")
 
 
@@ -94,6 +100,7 @@ class Clock:
         if values.dtype.kind == "M":
             return cls(columns, "dates")
         text = next((str(x) for x in values if not is_missing(x)), "") if values.dtype.kind == "O" else ""
+        text = _usual(text)
         if _CLOCK.fullmatch(text):
             return cls(columns, "clock")
         written = _date_format(text)
@@ -124,7 +131,8 @@ class Clock:
             times = (dates - dates[0]) / np.timedelta64(1, "ns") * 1e-9
             return _set_by_an_hour(times, self.label) if self.local else (times, ())
         if self.kind == "clock":
-            return _over_midnight(self._of_day(values, source), self.label)
+            has_hours = _usual(str(values[0])).count(":") > 1
+            return _continued(self._of_day(values, source), _DAY if has_hours else _HOUR, self.label)
         counts = _since_first(values, self.label, source)
         notes: tuple[str, ...] = ()
         back = np.flatnonzero(values[1:] < values[:-1])
@@ -170,21 +178,18 @@ class Clock:
         if values.dtype.kind == "O":
             import pandas as pd
 
-            texts = pd.Series(values).str.replace(",", ".")
-            parsed = pd.to_datetime(texts, format=self.format, utc=True, errors="coerce")
+            parsed = pd.to_datetime(_all_usual(values), format=self.format, utc=True, errors="coerce")
             dates = parsed.dt.tz_localize(None).to_numpy(dtype="datetime64[ns]")
         _check(np.isnat(dates), values, self.label, source)
         return dates.astype("datetime64[ns]")
 
     def _of_day(self, values: Cells, source: Source) -> Seconds:
         """Return times of the day [s]."""
-        import pandas as pd
-
-        parts = pd.Series(values, dtype=object).astype(str).str.extract(_CLOCK)
-        _check(parts[0].isna().to_numpy(), values, self.label, source)
-        seconds = parts[2].str.replace(",", ".").astype(float)
+        parts = _all_usual(values).str.extract(_CLOCK)
+        _check(parts[1].isna().to_numpy(), values, self.label, source)
+        seconds = parts[2].astype(float)
         half = parts[3].str[:1].str.lower()
-        as_read = parts[0].astype(float)
+        as_read = parts[0].astype(float).fillna(0.0)
         hours = np.where(half.isna(), as_read, as_read % 12 + 12.0 * (half == "p"))
         return np.asarray(hours * _HOUR + parts[1].astype(float) * 60.0 + seconds, float)
 
@@ -223,9 +228,25 @@ def unevenness(stamps: Cells) -> int:
 
 def are_times(values: Cells) -> bool:
     """Return whether text has times of the day, with or without a date, that are not all the same."""
-    texts = [str(x) for x in (values[0], values[-1])] if values.dtype.kind == "O" and len(values) else []
+    ends = (values[0], values[-1]) if values.dtype.kind == "O" and len(values) else ()
+    texts = [_usual(str(x)) for x in ends]
     is_time = bool(texts) and ":" in texts[0] and texts[0] != texts[1]
     return is_time and bool(_CLOCK.fullmatch(texts[0]) or _date_format(texts[0]))
+
+
+def _usual(text: str) -> str:
+    """Return a time with colons up to the seconds, and with a point before parts of them."""
+    text = _DOTTED.sub(r"\1:\2:", text.replace(",", "."))
+    return _MILLISECONDS.sub(lambda match: f"{match[1]}.{match[2]:0>3}", text, count=1)
+
+
+def _all_usual(values: Cells) -> "pd.Series[str]":
+    """Return times as `_usual` writes them; patterns are sought only where the first time has one."""
+    import pandas as pd
+
+    texts = pd.Series(values, dtype=object).astype(str)
+    text = texts[0].replace(",", ".")
+    return texts.str.replace(",", ".") if _usual(text) == text else texts.map(_usual)
 
 
 def _date_format(text: str) -> str:
@@ -235,7 +256,6 @@ def _date_format(text: str) -> str:
     import pandas as pd
     from pandas.tseries.api import guess_datetime_format
 
-    text = text.replace(",", ".")
     if is_number(text):
         return ""
     if not pd.isna(pd.to_datetime(text, format="ISO8601", errors="coerce")):
@@ -285,19 +305,22 @@ def sorted_by(times: Seconds) -> Int[np.ndarray, " n"] | None:
         return None
     order = np.argsort(times, kind="stable")
     intervals = np.diff(times[order])
+    if not np.median(intervals) > 0.0:
+        return None
     steps = intervals / np.median(intervals)
     is_even = (abs(steps - np.rint(steps)) < _OFF).all() and (steps > 0.5).all()
     return order if is_even and abs(order - np.arange(len(order))).max() <= _PLACES else None
 
 
-def _over_midnight(of_day: Seconds, label: str) -> tuple[Seconds, tuple[str, ...]]:
-    """Return times of the day [s] as times from the first, continued over midnight."""
-    midnights = np.cumsum(np.diff(of_day) < -0.5 * _DAY)
-    times = of_day - of_day[0]
-    times[1:] += _DAY * midnights
-    if not midnights.any():
-        return times, ()
-    return times, (f"column {label!r} passes midnight; its times go on",)
+def _continued(times: Seconds, turn: float, label: str) -> tuple[Seconds, tuple[str, ...]]:
+    """Return times of the day or of the hour [s] as times from the first, continued when these are over."""
+    turns = np.cumsum(np.diff(times) < -0.5 * turn)
+    since = times - times[0]
+    since[1:] += turn * turns
+    if not turns.any():
+        return since, ()
+    passed = "midnight" if turn == _DAY else "a full hour"
+    return since, (f"column {label!r} passes {passed}; its times go on",)
 
 
 def _set_by_an_hour(times: Seconds, label: str) -> tuple[Seconds, tuple[str, ...]]:
