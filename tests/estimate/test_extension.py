@@ -282,3 +282,18 @@ def test_quantization_is_told_from_the_shape_of_a_filter(truth):
             assert abs(bandwidth.value - truth.response.bandwidth) < 4.0 * bandwidth.std
         found, exact = (model.sampled(RATE).sampled_psd(f, RATE) for model in (result.model, truth))
         np.testing.assert_allclose(found, exact, rtol=0.04)
+
+
+@pytest.mark.parametrize("seed", [3, 4])
+def test_axes_of_one_sensor_have_one_kind_of_filter(seed):
+    """Alone, the axis with a resonance that wanders has two means, or two poles, in its place."""
+    noise = aj.AngleRandomWalk(7e-4) + aj.BiasInstability(2e-4)
+    plain = aj.MovingAverage(36.0) * noise
+    moving = aj.MovingAverage(36.0) * (noise + aj.WanderingResonance(4e-3, 20.0, 100.0, 0.5))
+    models = {"gyro_x": plain, "gyro_y": plain, "gyro_z": moving}
+    found = aj.fit(aj.simulate_recording(models, 1 << 17, RATE, seed))
+    for result in found.results:
+        bandwidth = result["moving_average_bandwidth"]
+        assert result.model.response.order == 1
+        assert abs(bandwidth.value - 36.0) < 4.0 * bandwidth.std
+        assert abs(result["N"].value - 7e-4) < 4.0 * result["N"].std
