@@ -421,8 +421,8 @@ def test_a_critiques_page_tells_each_finding_with_its_evidence(chromium, tmp_pat
         assert str(finding) in section.locator("details").first.text_content().replace("\n", " ")
         assert section.locator("details figure").count() >= 1
         readout = tab.chart("record and 95 % of simulations").hover(0.5)
-        assert "before" in readout
-        assert "after" in readout
+        assert "without it" in readout
+        assert "with all findings" in readout
         tab.check()
 
 

@@ -137,6 +137,8 @@ class Plot:
 
     def hover(self, share: float) -> str:
         """Point at this share of the x axis, and return what is read there."""
+        # A chart is drawn when it comes into view, and then is larger.
+        self.figure.locator(".u-over").scroll_into_view_if_needed()
         box = self.figure.locator(".u-over").bounding_box()
         self.page.mouse.move(box["x"] + share * box["width"], box["y"] + 0.5 * box["height"])
         return self.readout

@@ -18,6 +18,8 @@ from allanjax.record.units import unit_scale
 
 # Blocks of the record in the evidence of a finding, and most findings that are open at first.
 _BLOCKS, _OPEN = 300, 1
+# Causes from outside the sensor that disturb a whole record.
+_OUTSIDE = ("sinusoid", "saturation", "temperature", "telegraph", "common_mode")
 
 
 def in_words(critique: Critique, fit: Fit) -> tuple[list[str], list[str]]:
@@ -25,7 +27,8 @@ def in_words(critique: Critique, fit: Fit) -> tuple[list[str], list[str]]:
     disturbed, also = list[str](), list[str]()
     for f in critique.findings:
         if f.cause != UNEXPLAINED and not f.is_weak:
-            (disturbed if f.is_event else also).append(_told(f, critique, fit))
+            is_disturbance = f.is_event or f.cause in _OUTSIDE
+            (disturbed if is_disturbance else also).append(_told(f, critique, fit))
     return disturbed, also
 
 
