@@ -271,7 +271,10 @@ def may_be_time(column: Column) -> Column | None:
     words = _words(column.name)
     if column.role != "auxiliary" or not _MAYBE_TIME.search(words):
         return None
-    return replace(column, role="time", unit=column.unit or _CLOCKS.get(words))
+    unit = column.unit or _CLOCKS.get(words)
+    # Beside whole seconds they are parts of these.
+    part = ("", str(unit)) if words in ("ms", "us", "ns") and unit == words else None
+    return replace(column, role="time", unit=unit, time_part=part)
 
 
 def split_unit(label: str) -> tuple[str, str | None]:

@@ -549,3 +549,29 @@ def test_names_and_units_in_comments_above_the_data(read, mark, letter):
     recording = read([*(f"{mark} {line}" for line in lines), *data], "log.dat")
     assert [axis.unit for axis in recording.axes] == [*["deg/h"] * 3, *["µg"] * 3]
     is_right(recording, ACCEL)
+
+
+def test_proposed_columns_name_one_clock_and_the_axes_by_their_letters(read):
+    """As Sensor Logger writes a file of one sensor: two clocks, and z, y, x."""
+    rows = [
+        f"{1_690_000_000_000_000_000 + 10_000_000 * k},{k / RATE},{z},{y},{x}" for k, (x, y, z) in SAMPLES
+    ]
+    lines = ["time,seconds_elapsed,z,y,x", *rows]
+    with pytest.raises(aj.RecordingError, match="gyro_z,gyro_y,gyro_x") as error:
+        read(lines)
+    columns = re.search(r"columns='(.*?)'", str(error.value))[1]
+    assert columns.split(",").count("time") == 1
+    found = read(lines, columns=columns, gyro_unit="deg/s")
+    is_right(found.select(*SIX[:3]))
+
+
+@pytest.mark.parametrize("names", ["sec,ms", "Sec,Ms"])
+def test_seconds_and_milliseconds_are_one_clock(read, names):
+    """Also if seconds begin again each minute; of four seconds one is missing."""
+    kept = [(k + 5_900, row) for k, row in SAMPLES if not 150 <= k < 250]
+    rows = [f"{k // 100 % 60},{k % 100 * 10},{','.join(map(str, row))}" for k, row in kept]
+    lines = [f"{names},gx [deg/s],gy [deg/s],gz [deg/s]", *rows]
+    with pytest.raises(aj.RecordingError, match="gap of 1"):
+        read(lines)
+    found = read(lines, gaps="fill")
+    assert (found.n, found.rate) == (N, pytest.approx(RATE, rel=1e-6))

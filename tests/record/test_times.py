@@ -81,6 +81,13 @@ def test_stamps_of_arrival_scatter_about_even_times(read):
         is_right(read(frame(times, samples(200.0))), 200.0)
 
 
+def test_intervals_are_no_times(read):
+    """As a column of the time since the last sample."""
+    intervals = 0.01 + 1e-5 * np.random.default_rng(5).standard_normal(N)
+    intervals[-1] = intervals.max()
+    refused(lambda: read(frame(intervals, samples(100.0))), "time='none'")
+
+
 def test_a_clock_may_wander_while_samples_arrive_in_bursts(read):
     """By 0.6 ‰ of the record; a pause of 2 % may be one in which samples were lost, and is not closed up."""
     number, rng = np.arange(N), np.random.default_rng(4)

@@ -293,6 +293,9 @@ class Stamps:
         interval = _interval(times)
         off = times - times.mean() - interval * (np.arange(n) - 0.5 * (n - 1))
         spread = float(np.ptp(off))
+        # Intervals, or other numbers that do not pass, are no times.
+        if not n * interval > spread:
+            return ""
         # The line through the stamps is known to a part of their deviations. Few long intervals may as well
         # be missing samples.
         if self.step and spread <= 1.1 * self.step and len(self._unlike) >= _SHOWING:
@@ -448,7 +451,7 @@ class Stamps:
 
     def _evenly(self) -> str:
         """Return the remedy for evenly spaced samples with uneven stamps; "" if these may show others."""
-        if self._beats or self._unsteadiness > MAX_RATE_DIFFERENCE:
+        if self._beats or self._unsteadiness > MAX_RATE_DIFFERENCE or not _interval(self.seconds) > 0.0:
             return ""
         rate = f"{1.0 / _interval(self.seconds):.6g} Hz"
         return f"if the samples are evenly spaced (at {rate} on average), pass time='uniform'; "

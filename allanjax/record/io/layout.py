@@ -343,7 +343,9 @@ def _check_is_recording(
         )
     if not axes:
         some = _likely([column for column in found if column.role == "auxiliary"])
-        names = ",".join("time" if column.role == "time" else some.get(column, "-") for column in found)
+        # A clock of two columns keeps their names.
+        clocks = {clock[0]: "time"} if len(clock) == 1 else {column: column.label for column in clock}
+        names = ",".join((clocks | some).get(column, "-") for column in found)
         told = f" if {', '.join(column.label for column in some)} are these" if some else ""
         raise table.source.error(
             f"no gyro or accelerometer column among {', '.join(column.label for column in found)}; "
@@ -360,7 +362,12 @@ def _likely(unknown: Sequence[Column]) -> dict[Column, str]:
     names = EXAMPLE[1:]
     if named and chosen[0].name.casefold().startswith(("a", "f")):
         names = (*names[3:], *names[:3])
-    return dict(zip(chosen, names, strict=False))
+    proposed = dict(zip(chosen, names, strict=False))
+    for first in range(0, len(chosen), 3):
+        ends = {column: column.name[-1:].casefold() for column in chosen[first : first + 3]}
+        if set(ends.values()) == set("xyz"):
+            proposed |= {c: f"{proposed[c].rpartition('_')[0]}_{end}" for c, end in ends.items()}
+    return proposed
 
 
 def _check_all_used(

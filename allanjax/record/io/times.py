@@ -286,7 +286,10 @@ def _unwrapped(counts: Cells) -> Cells:
     back = steps < 0
     if not back.any() or back.all():
         return counts
-    typical = float(np.median(steps[~back]))
+    forward = steps[~back]
+    # Whole seconds mostly stay as they are.
+    forward = forward if np.median(forward) > 0 or not forward.any() else forward[forward > 0]
+    typical = float(np.median(forward))
     for part in _PARTS[: 1 if counts.dtype.kind == "i" else None]:
         for turn in (counts.dtype.type(turn * part) for turn in _TURNS):
             step = steps[back] + turn
