@@ -72,8 +72,8 @@ def change_of(whole: Stage, lacking: Stage, is_waveform: bool) -> Change:
     return Change(
         share=float(shares[most]),
         time=float(sizes[most] / rate),
-        first=float(notable.min(initial=np.inf)) if len(notable) else np.nan,
-        last=float(notable.max(initial=0.0)) if len(notable) else np.nan,
+        first=float(notable[0]) if len(notable) else np.nan,
+        last=float(notable[-1]) if len(notable) else np.nan,
         density=float(densities[place]),
         frequency=float((edges[place] + edges[place + 1] - 1) * rate / (4.0 * n)),
     )

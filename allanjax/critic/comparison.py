@@ -166,7 +166,8 @@ def compared(
     channels = {k: centred(h) for k, h in other.items() if np.isfinite(h).all() and np.ptp(h) > 0.0}
     step = lattice(raw[0])
     steps = step, step if raw[1] is raw[0] else lattice(raw[1])
-    free, ends, last = [], [], dict[str, Profile]()
+    free, ends = [], []
+    last: dict[str, Profile] = {}
     for k, stage in enumerate(stages):
         profiles = profiles_of(stage, channels)
         last = {p.statistic: p for p in profiles if p.extent}

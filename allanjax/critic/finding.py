@@ -104,7 +104,7 @@ def numbers_in(details: Mapping[str, Detail], name: str) -> list[float]:
 
 #: Cause of a discrepancy that no known effect explains.
 UNEXPLAINED = "unexplained"
-#: Share of the Allan variance that is notable, and gain [nats] from which a finding is told in any case.
+#: Share of the Allan variance from which a finding matters, and gain [nats] from which it has its own row.
 NOTABLE, TELLING = judged("telling", "share"), judged("telling", "nats")
 # Parameters that may be the size of an effect in an axis; the first one of a finding counts.
 _SIZES = (

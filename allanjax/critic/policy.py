@@ -154,8 +154,11 @@ JUDGEMENTS: Mapping[str, tuple[float, str]] = {
     ),
     "telegraph.jumps": (3, "one or two jumps are steps; hidden telegraphs have three or more"),
     "telegraph.regular": (0.005, "p-value of too even times between jumps: one true telegraph in 200"),
-    "telling.nats": (100.0, "gain from which a finding is told in any case: of such, halves agree in 93 %"),
-    "telling.share": (0.02, "share of the Allan variance from which a finding is told: N is known as well"),
+    "telling.nats": (100.0, "gain from which a finding has its own row; smaller ones rarely recur in halves"),
+    "telling.share": (
+        0.02,
+        "share of the Allan variance from which it matters: a judgement, about N's error",
+    ),
     "temperature.clock": (1e-6, "share of variance about a line below which a channel is a clock or counter"),
     "unexplained.left": (0.1, "share of a free description's gain that a finding may leave at its place"),
     "unexplained.nats": (10.0, "gain of a free description below which nothing is left"),

@@ -226,7 +226,8 @@ def prune(state: Search, effects: Sequence[Effect], last: bool = False) -> Searc
 def concluded(state: Search, effects: Sequence[Effect]) -> Search:
     """Finished search: everything is refitted, and the filter and the resonances are described."""
     state = prune(state, _sought(state.end, effects), last=True)
-    steps, end, model = list(state.steps), state.end, None
+    steps, end = list(state.steps), state.end
+    model: Model | None = None
     mine = [s for s in steps if s.candidate.cause == SpectralShape.name]
     if mine:
         found, end, model = finished(end, mine)

@@ -26,7 +26,6 @@ from allanjax.critic.stage import Stage, octave_bins
 from allanjax.presentation import draw
 from allanjax.presentation.critique_story import (
     sentence,
-    significance,
 )
 from allanjax.presentation.draw import Heading, Sheet
 from allanjax.record.recording import Axis
@@ -192,7 +191,7 @@ def _panels(
     title = f"{record.axis.name}: {count or 'no'} finding{'' if count == 1 else 's'}"
     if finding is not None:
         title = f"{', '.join(finding.axes)}: {finding.named(finding.cause)}"
-        lines = _description(finding, record.axis)
+        lines = _description(finding)
         below = max(sheet.bottom, _LINE * (len(lines) + 1) - sheet.height)
         sheet = dataclasses.replace(sheet, bottom=below)
     name = f"{critique.name}, {title}" if critique.name else title
@@ -373,11 +372,9 @@ def _draw_correlation(panel: Axes, records: list[Stage]) -> None:
     _finish(panel, "correlation\nof whitened residuals", draw.FREQUENCY, "x")
 
 
-def _description(finding: Finding, axis: Axis) -> list[str]:
+def _description(finding: Finding) -> list[str]:
     """Lines of the text beside the effect."""
     lines = [sentence(finding), ""]
     if finding.cause != UNEXPLAINED:
-        evidence = "" if finding.evidence is None else f"log Bayes factor {finding.evidence:,.0f} nats"
-        test = significance(finding)
-        lines.append(", ".join(text for text in ("" if test in lines[0] else test, evidence) if text))
+        lines.append("" if finding.evidence is None else f"log Bayes factor {finding.evidence:,.0f} nats")
     return [part for line in lines for part in wrapped(line, _COLUMNS, rest="").split("\n")]

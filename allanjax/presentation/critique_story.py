@@ -223,7 +223,7 @@ def findings_columns(critique: Critique, findings: Sequence[Finding]) -> list[Co
 
 
 def lists(critique: Critique) -> dict[str, list[Finding]]:
-    """What the sensor is, and what happened, by heading; then what is too weak to be told singly."""
+    """Findings by the heading of their table; those under "" are weak and share one line."""
     causes = causes_of(critique.findings)
     weak = [f for f in causes if f.is_weak]
     # One line is no shorter than another.

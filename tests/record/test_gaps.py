@@ -38,15 +38,6 @@ def filled(values, rate=RATE, **options):
     return aj.Recording.from_array(values, rate, **options)
 
 
-@pytest.fixture
-def written(tmp_path):
-    def write(table):
-        table.to_csv(tmp_path / "log.csv", index=False)
-        return tmp_path / "log.csv"
-
-    return write
-
-
 @pytest.mark.parametrize("late", [0.0, 0.1])
 def test_what_is_there_stays_and_what_is_not_is_counted(written, late):
     table, lost = whole(), lost_at()

@@ -26,15 +26,6 @@ def two(name, kinds, late=0.0, after=0.0, **more):
     return rows.rename(columns={"time": "time [s]"})[["time [s]", name, *AXES]]
 
 
-@pytest.fixture
-def written(tmp_path):
-    def write(table):
-        table.to_csv(tmp_path / "imu.csv", index=False)
-        return tmp_path / "imu.csv"
-
-    return write
-
-
 @pytest.mark.parametrize(
     ("name", "kinds", "late", "after"),
     [
